@@ -1,1 +1,1 @@
-"""Shapes: exact surfaces, their meshes, the lattice of the array, mesh files and rigid frames."""
+"""Shapes: exact surfaces, their meshes, the microlens lattice, mesh files and rigid frames."""

@@ -1,8 +1,7 @@
-"""Rigid frames: where a body's own coordinates stand in another's.
+"""Rigid frames: position and orientation of a body in other coordinates.
 
-A frame is a (3, 4) float64 array [A | b] that takes a point p of the body to A p + b. A is orthogonal; it may be a
-reflection (the array's frame looks from the curved face into the glass, whichever way that is), since no law of
-geometrical optics tells left from right.
+A frame is a (3, 4) float64 array [A | b] that takes a point p of the body to A p + b. A is orthogonal and may be a
+reflection: a microlens array's z runs from the curved face into the glass, even if that is against the camera's z.
 """
 
 import numpy as np
@@ -16,7 +15,7 @@ IDENTITY: Frame = np.hstack([np.eye(3), np.zeros((3, 1))])
 
 
 def rotation(tilt_deg: ArrayLike) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation by three angles, about x first, then y, then z (axes that stay fixed)."""
+    """Return the (3, 3) rotation by three angles about fixed axes: x first, then y, then z."""
     x, y, z = np.deg2rad(np.asarray(tilt_deg, dtype=np.float64))
     about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
     about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
@@ -25,14 +24,14 @@ def rotation(tilt_deg: ArrayLike) -> NDArray[np.float64]:
 
 
 def tilt_of(turn: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return the three angles in degrees of a rotation (3, 3), the inverse of `rotation`."""
+    """Return the three angles, in degrees, of a (3, 3) rotation; the inverse of `rotation`."""
     x, z = np.arctan2(turn[2, 1], turn[2, 2]), np.arctan2(turn[1, 0], turn[0, 0])
     y = np.arctan2(-turn[2, 0], np.hypot(turn[2, 1], turn[2, 2]))
     return float(np.rad2deg(x)), float(np.rad2deg(y)), float(np.rad2deg(z))
 
 
 def frame(tilt_deg: ArrayLike = (0, 0, 0), origin_mm: ArrayLike = (0, 0, 0)) -> Frame:
-    """Return the frame of a body turned by `tilt_deg` about its own origin, which lies at `origin_mm`."""
+    """Return the frame of a body with its origin at `origin_mm`, turned by `tilt_deg` about that origin."""
     return np.column_stack([rotation(tilt_deg), np.asarray(origin_mm, dtype=np.float64)])
 
 
@@ -47,18 +46,18 @@ def inverse(through: Frame) -> Frame:
 
 
 def points(through: Frame, p: ArrayLike) -> NDArray[np.float64]:
-    """Return the (n, 3) points `p` seen through a frame."""
+    """Transform points (n, 3) by a frame."""
     return np.asarray(p, dtype=np.float64) @ through[:, :3].T + through[:, 3]
 
 
 def directions(through: Frame, d: ArrayLike) -> NDArray[np.float64]:
-    """Return the (n, 3) directions `d` seen through a frame."""
+    """Transform directions (n, 3) by a frame."""
     return np.asarray(d, dtype=np.float64) @ through[:, :3].T
 
 
 @inlined
 def point_through(through: NDArray[np.float64], x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return a point seen through a frame, (3, 4).
+    """Transform a point by a frame.
 
     Parameters
     ----------
@@ -75,14 +74,7 @@ def point_through(through: NDArray[np.float64], x: float, y: float, z: float) ->
 
 @inlined
 def direction_through(through: NDArray[np.float64], x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return a direction seen through a frame, (3, 4).
-
-    Parameters
-    ----------
-    through : (3, 4) float64
-        Axes of the frame and its origin, mm.
-    x, y, z : float
-    """
+    """Transform a direction by a frame (3, 4)."""
     return (
         through[0, 0] * x + through[0, 1] * y + through[0, 2] * z,
         through[1, 0] * x + through[1, 1] * y + through[1, 2] * z,
@@ -94,14 +86,13 @@ def direction_through(through: NDArray[np.float64], x: float, y: float, z: float
 def move_point(
     table: NDArray[np.float64], here: int, there: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Return a point moved from frame `here` into frame `there` of a (n, n, 3, 4) table of frames.
+    """Transform a point, mm, from frame `here` to frame `there`.
 
     Parameters
     ----------
     table : (n, n, 3, 4) float64
-        Frame by which each of n frames is seen from each other one.
+        Transformation between each pair of n frames.
     here, there : int
-        Numbers of the two frames.
     x, y, z : float, mm
     """
     return (
@@ -124,16 +115,7 @@ def move_point(
 def move_direction(
     table: NDArray[np.float64], here: int, there: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Return a direction moved from frame `here` into frame `there` of a (n, n, 3, 4) table of frames.
-
-    Parameters
-    ----------
-    table : (n, n, 3, 4) float64
-        Frame by which each of n frames is seen from each other one.
-    here, there : int
-        Numbers of the two frames.
-    x, y, z : float
-    """
+    """Transform a direction from frame `here` to frame `there`; see `move_point`."""
     return (
         table[here, there, 0, 0] * x + table[here, there, 0, 1] * y + table[here, there, 0, 2] * z,
         table[here, there, 1, 0] * x + table[here, there, 1, 1] * y + table[here, there, 1, 2] * z,

@@ -1,4 +1,4 @@
-"""A ray: a point and a unit direction, as kernels hand it on."""
+"""A ray, as kernels pass it on."""
 
 from typing import Any, NamedTuple
 
@@ -6,7 +6,7 @@ from lfmesh.kernels.decorators import inlined
 
 
 class Ray(NamedTuple):
-    """A point, mm, and a unit direction, in one frame."""
+    """Point (mm) and unit direction in one frame."""
 
     x: float
     y: float
@@ -18,22 +18,11 @@ class Ray(NamedTuple):
 
 @inlined
 def along(ray: Ray, t: float) -> tuple[float, float, float]:
-    """Return the point at a distance on a ray, mm.
-
-    Parameters
-    ----------
-    ray : Ray
-    t : float, mm
-    """
+    """Return the point, mm, at distance t (mm) along a ray."""
     return ray.x + t * ray.dx, ray.y + t * ray.dy, ray.z + t * ray.dz
 
 
 @inlined
 def ray_of(packet: Any) -> Ray:
-    """Return the ray of a packet.
-
-    Parameters
-    ----------
-    packet : PACKET
-    """
+    """Return the ray of a packet."""
     return Ray(packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)

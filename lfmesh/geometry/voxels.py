@@ -1,8 +1,8 @@
 """Voxel grids: quantities of a medium on a regular lattice, read from files.
 
-Arrays are ordered [x, y, z]. A voxel is a box of the size `spacing_mm` about its centre, and `origin_mm` is the centre
-of voxel [0, 0, 0], in the medium's own frame. A grid ends with the outer faces of its outer voxels. Between the centres
-values are trilinear, and from the outer centres to the faces constant; or each voxel has one value throughout.
+Arrays are ordered [x, y, z]. A voxel is a box of size `spacing_mm`, and `origin_mm` is the centre of voxel [0, 0, 0] in
+the medium's frame. Values are either constant in each voxel, or trilinear between the centres and constant from the
+outer centres to the grid's faces.
 """
 
 from collections.abc import Iterable, Mapping
@@ -28,16 +28,16 @@ VTK = ".vti"
 ENDINGS = (".npz", ".npy", VTK)
 
 BEGINNINGS = {".npz": (b"PK\x03\x04", b"PK\x05\x06"), ".npy": (b"\x93NUMPY",)}
-"""First bytes of numpy's files, by their ending: zip archives, and single arrays."""
+"""First bytes of numpy's files, by file ending: zip archives and single arrays."""
 
 MOST_VOXELS = 1 << 27
-"""Largest number of voxels of a grid, 512³: each quantity of it takes 1 GiB of memory."""
+"""Largest number of voxels in a grid, 512³. Each quantity then takes 1 GiB."""
 
 WRITERS = {".npz": "numpy.savez", ".npy": "numpy.save"}
 
 _NO_NUMBERS = {"c": "complex numbers", "O": "Python objects", "S": "text", "U": "text", "V": "records",
                "M": "dates", "m": "times"}  # fmt: skip
-"""Content of arrays that are no real numbers, by numpy's kind of their type."""
+"""Names of the array contents that are not real numbers, by numpy's dtype kind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class VoxelGrid:
     Attributes
     ----------
     values : mapping of str to (nx, ny, nz) float64
-        By the names in `QUANTITIES`, in the unit of the name.
+        Keyed by the names in `QUANTITIES`, which give the units.
     spacing_mm : (3,) float64
         Distance between the centres of neighbouring voxels along x, y and z.
     origin_mm : (3,) float64
@@ -69,7 +69,7 @@ class VoxelGrid:
 
     @property
     def bounds_mm(self) -> tuple[Array, Array]:
-        """Lowest and highest corner of the box that the voxels fill, (3,) each."""
+        """Lowest and highest corner, (3,) each, of the box filled by the voxels."""
         low = self.origin_mm - 0.5 * self.spacing_mm
         return low, low + self.spacing_mm * self.shape
 
@@ -83,22 +83,22 @@ def voxel_grid(
     values: Mapping[str, ArrayLike], spacing_mm: ArrayLike, origin_mm: ArrayLike | None = None,
     interpolation: Interpolation = "trilinear", where: str = "voxel grid",
 ) -> VoxelGrid:  # fmt: skip
-    """Return a grid whose numbers have been checked.
+    """Check the numbers of a grid and return it.
 
     Parameters
     ----------
     values : mapping of str to (nx, ny, nz) array_like
     spacing_mm : float or (3,) array_like
     origin_mm : (3,) array_like, optional
-        The middle of the grid lies at the origin if it is left out.
+        Default: the grid is centred on the origin.
     interpolation : str
     where : str
-        What messages begin with.
+        Prefix of error messages.
 
     Raises
     ------
     FileError
-        A name is not known, or a number is not valid.
+        A name is unknown or a number invalid.
     """
     spacing = _spacing(spacing_mm, where)
     unknown = [name for name in values if name not in QUANTITIES]
@@ -120,24 +120,24 @@ def read_voxels(
     Parameters
     ----------
     path : Path
-        `.npz` with arrays named as in `QUANTITIES`, and `spacing_mm` and `origin_mm`; `.npy` with a single array; or
-        `.vti`, VTK image data, with arrays named so.
+        `.npz` or `.vti` (VTK image data) with arrays named as in `QUANTITIES`, or `.npy` with a single array. An `.npz`
+        may also hold `spacing_mm` and `origin_mm`.
     spacing_mm, origin_mm : array_like, optional
-        Of a file that does not say.
+        For files that do not hold them.
     interpolation : str
     quantity : str, optional
-        Name of the quantity in a `.npy` file, or of the only array of a `.vti` file.
+        Quantity in a `.npy` file, or in the only array of a `.vti` file.
 
     Raises
     ------
     FileError
-        The file cannot be read, or what it holds is not valid.
+        The file cannot be read, or its content is invalid.
     """
     if path.suffix.lower() not in ENDINGS:
         raise FileError(f"{path}: a voxel grid ends in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
     if path.suffix.lower() == VTK:
         _refuse_place(PLACE, path, spacing_mm, origin_mm)
-        # With VTK, for which no other grid need wait.
+        # Imports VTK, which takes long and which no other format needs.
         found: dict[str, Any] = import_module("lfmesh.imports.vtk_image").read_vtk_image(
             path, QUANTITIES, quantity, MOST_VOXELS
         )
@@ -149,7 +149,7 @@ def _read_numpy(
     path: Path, spacing_mm: ArrayLike | None, origin_mm: ArrayLike | None, interpolation: Interpolation,
     quantity: str | None,
 ) -> VoxelGrid:  # fmt: skip
-    """Read a `.npz` or `.npy` file; voxels only after all that their headers and their place can be refused for."""
+    """Read a `.npz` or `.npy` file; voxels are read only after the headers and the position have been checked."""
     ending = path.suffix.lower()
     where = str(path)
     try:
@@ -175,14 +175,14 @@ def _read_numpy(
     except MemoryError:
         raise FileError(f"{path}: announces more numbers than there is memory for") from None
     except Exception as error:
-        # Of a damaged file numpy's readers, and those of zip archives below them, may raise anything.
+        # numpy's and zipfile's readers may raise anything on a damaged file.
         why = " ".join(str(error).split())[:200] or type(error).__name__
         raise FileError(f"{path}: cannot be read as numpy's {ending}: {why}") from None
     return voxel_grid(values, spacing, origin, interpolation, where)
 
 
 def _refuse_headers(headers: Mapping[str, Header], path: Path) -> None:
-    """Raise if arrays announce what no grid has: other names, kinds or shapes, or more voxels than are read."""
+    """Raise if the headers have an unknown name, a wrong type or shape, or too many voxels."""
     _refuse_unknown(headers, path)
     for name, header in headers.items():
         shape = " × ".join(map(str, header.shape))
@@ -198,14 +198,14 @@ def _refuse_headers(headers: Mapping[str, Header], path: Path) -> None:
 
 
 def _refuse_unknown(names: Iterable[str], path: Path) -> None:
-    """Raise if a file has an array that no grid has."""
+    """Raise if a file has an unknown array."""
     unknown = [name for name in names if name not in QUANTITIES + PLACE]
     if unknown:
         raise FileError(f"{path}: no array is called {unknown[0]!r}; there are {', '.join((*QUANTITIES, *PLACE))}")
 
 
 def _check_beginning(path: Path, beginning: bytes) -> None:
-    """Raise if a file does not begin as its ending says: numpy would take it for pickled objects."""
+    """Raise if a file's first bytes do not match its ending: numpy would take it for pickled objects."""
     ending = path.suffix.lower()
     is_a = [other for other, firsts in BEGINNINGS.items() if beginning.startswith(firsts)]
     if ending not in is_a:
@@ -215,14 +215,14 @@ def _check_beginning(path: Path, beginning: bytes) -> None:
 
 
 def _refuse_place(held: Iterable[str], path: Path, spacing_mm: ArrayLike | None, origin_mm: ArrayLike | None) -> None:
-    """Raise if the place that a file holds is given beside it, too."""
+    """Raise if a position that the file holds is also given by the caller."""
     for key, given in (("spacing_mm", spacing_mm), ("origin_mm", origin_mm)):
         if key in held and given is not None:
             raise FileError(f"{path}: holds {key} itself; leave it out beside the file")
 
 
 def _common_shape(shapes: Mapping[str, tuple[int, ...]], where: str) -> tuple[int, ...]:
-    """Return the shape of all quantities of a grid, by their names."""
+    """Return the shape shared by all quantities of a grid."""
     if not shapes:
         raise FileError(f"{where}: holds no quantity; there are {', '.join(QUANTITIES)}")
     for name, shape in shapes.items():
@@ -261,7 +261,7 @@ def _checked(array: Array, name: str, where: str) -> Array:
 
 
 def _real(array: ArrayLike, name: str, where: str) -> Array:
-    """Return an array of float64; complex numbers and words are refused, not cast."""
+    """Return a float64 array; complex numbers and text are refused, not cast."""
     try:
         given = np.asarray(array)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""Meshes of the microlens array: one cell of a type, for Embree, and the whole array as a closed body."""
+"""Meshes of the microlens array: one cell of each type, for Embree, and the whole array as a closed body."""
 
 from typing import TYPE_CHECKING
 
@@ -12,20 +12,20 @@ if TYPE_CHECKING:
 from lfmesh.geometry.array.lenslets import SUBDIVISIONS, Lenslets, border_segments, faces_at, shape_of, type_of
 
 OFFSET = 8.0
-"""Cells of different types stand this many pitches apart in their common Embree scene."""
+"""Distance, in pitches, between cells of different types in their common Embree scene."""
 
 
 def cell_pattern(lattice: Lattice, subdivisions: int = SUBDIVISIONS) -> tuple[Array, Index]:
-    """Return the (v, 2) points, mm, and (f, 3) triangles (facing +z) that tile the cell at the origin.
+    """Tile the cell at the origin: return points (v, 2), mm, and triangles (f, 3) facing +z.
 
-    Points on a side are equally spaced, so that the patterns of neighbouring cells share them.
+    Points on a side are equally spaced, so neighbouring cells share them.
     """
     corners = lattice.corners()
     points: list[Array] = []
     faces: list[Index] = []
     n = border_segments(lattice.hexagonal, subdivisions)
     count = 0
-    # One fan of triangles a side, each refined n-fold.
+    # One fan of triangles per side, each refined n-fold.
     index = {(i, j): i * (i + 1) // 2 + j for i in range(n + 1) for j in range(i + 1)}
     fan = np.array(
         [(index[i, j], index[i + 1, j], index[i + 1, j + 1]) for i in range(n) for j in range(i + 1)]
@@ -39,7 +39,7 @@ def cell_pattern(lattice: Lattice, subdivisions: int = SUBDIVISIONS) -> tuple[Ar
 
 
 def _merged(points: Array, faces: Index, scale: float) -> tuple[Array, Index]:
-    """Merge points that agree to a rounding error of the scale."""
+    """Merge points that agree to 1e-9 of the scale."""
     _, first, inverse = np.unique(
         np.round(points / (scale * 1e-9)).astype(np.int64), axis=0, return_index=True, return_inverse=True
     )
@@ -47,10 +47,10 @@ def _merged(points: Array, faces: Index, scale: float) -> tuple[Array, Index]:
 
 
 def cell_mesh(mla: Lenslets, kind: int) -> Mesh:
-    """Return the curved face over one cell of a type, centred at the origin, facing +z, with its neighbours' rims.
+    """Return the curved face over one cell of a type, centred at the origin and facing +z, with its neighbours' rims.
 
-    The rims (the neighbours' triangles that touch the cell) are there so that a ray along the border meets a facet on
-    either side of it; the neighbours are taken to be of the same type.
+    The rims are the neighbours' triangles that touch the cell. With them, a ray along the border meets a facet on
+    either side. The neighbours are assumed to have the same type.
     """
     pattern, faces = cell_pattern(mla.lattice)
     patch = mla.lattice._replace(columns=3, rows=3)
@@ -68,7 +68,7 @@ def cell_mesh(mla: Lenslets, kind: int) -> Mesh:
 
 
 def _cell_norm(lattice: Lattice, p: Array) -> Array:
-    """Return the norm whose ball of radius pitch/2 is the cell."""
+    """Return the norm of points; its ball of radius pitch/2 is the cell."""
     if not lattice.hexagonal:
         return np.abs(p).max(axis=1)
     turn = np.deg2rad([0.0, 60.0, 120.0])
@@ -78,19 +78,18 @@ def _cell_norm(lattice: Lattice, p: Array) -> Array:
 def mla_mesh(
     mla: Lenslets, subdivisions: int = SUBDIVISIONS, back: Lenslets | None = None, shift_mm: Array | None = None
 ) -> "trimesh.Trimesh":
-    """Return the whole array as a closed mesh.
+    """Return the whole array as a closed mesh: one shell if all lenslets are alike.
 
-    Where all lenslets are alike it is one shell. Unlike neighbours meet in steps, so each lenslet is then a closed
-    prism of its own and the prisms stand side by side.
+    Otherwise neighbours meet in steps, and each lenslet is a closed prism.
 
     Parameters
     ----------
     mla : Lenslets
     subdivisions : int
     back : Lenslets, optional
-        On the other face, in a frame of their own that looks the other way. Flat if omitted.
+        Lenslets on the other face, in their own frame, which looks the other way. Default: a flat face.
     shift_mm : (2,) float64, optional
-        Of their frame, in x and y.
+        Shift of that frame in x and y.
     """
     import trimesh
 
@@ -120,9 +119,9 @@ def mla_mesh(
 
 
 def _between_faces(mla: Lenslets, back: Lenslets, shift_mm: Array, subdivisions: int) -> "trimesh.Trimesh":
-    """Return an array with lenslets on both faces: its cells' closed prisms side by side, one shell if all are alike.
+    """Return an array with lenslets on both faces: one closed shell if all are alike, else a prism for each cell.
 
-    Where the second face is out of place, the prisms lean by that much.
+    If the second face is shifted, the prisms lean by the shift.
     """
     import trimesh
 
@@ -152,7 +151,7 @@ def _between_faces(mla: Lenslets, back: Lenslets, shift_mm: Array, subdivisions:
 
 
 def _shell(front: Array, back: Array, faces: Index) -> "trimesh.Trimesh":
-    """Close two sheets of the same triangles, which look towards +z, with side walls, outward-oriented."""
+    """Close two sheets with the same triangles, facing +z, by side walls; the result faces outward."""
     import trimesh
 
     count = len(front)
@@ -161,12 +160,12 @@ def _shell(front: Array, back: Array, faces: Index) -> "trimesh.Trimesh":
     border = directed[~np.isin(key, directed[:, 1] * count + directed[:, 0])]
     a, b = border[:, 0], border[:, 1]
     walls = np.concatenate([np.column_stack([a, b, b + count]), np.column_stack([a, b + count, a + count])])
-    # They look into the glass on the first sheet, outward on the other one.
+    # The triangles of the first sheet face into the glass, those of the second outward.
     all_faces = np.concatenate([faces[:, ::-1], faces + count, walls])
     return trimesh.Trimesh(np.concatenate([front, back]), all_faces, process=False)
 
 
 def _prism(flat: Array, faces: Index, z: Array, thickness: float) -> "trimesh.Trimesh":
-    """Close a height field with side walls and a flat face, outward-oriented."""
+    """Close a height field with side walls and a flat face; the result faces outward."""
     front, back = np.column_stack([flat, z]), np.column_stack([flat, np.full(len(flat), thickness)])
     return _shell(front, back, faces)

@@ -1,7 +1,7 @@
-"""The lattice of a microlens array: which cell a point lies in, where a ray leaves its cell, and into which one.
+"""The lattice of a microlens array: cell of a point, exit of a ray from its cell, and the cell it enters.
 
-Square cells, or hexagonal ones with two sides parallel to y whose odd rows are shifted by half a pitch towards +x.
-Both are Voronoi cells of their centres. The lattice is centred on the origin of the array's frame.
+Cells are squares, or hexagons with two sides parallel to y and odd rows shifted by half a pitch towards +x. Both are
+Voronoi cells of their centres. The lattice is centred on the origin of the array's frame.
 """
 
 from typing import NamedTuple
@@ -13,12 +13,12 @@ from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 
 ROW_SPACING = np.sqrt(0.75)
-"""Distance of neighbouring rows of a hexagonal lattice over its pitch."""
+"""Distance between neighbouring rows of a hexagonal lattice, in pitches."""
 
 
 @by_address
 class Lattice(NamedTuple):
-    """Layout and size; `pitch` in mm is the distance of neighbouring centres."""
+    """Layout and size; `pitch` is the distance between neighbouring centres, mm."""
 
     hexagonal: bool
     pitch: float
@@ -37,19 +37,19 @@ class Lattice(NamedTuple):
 
     @property
     def half_extent(self) -> tuple[float, float]:
-        """Half width and half height of the box round all cells, mm."""
+        """Half width and half height of the bounding box of all cells, mm."""
         if not self.hexagonal:
             return 0.5 * self.columns * self.pitch, 0.5 * self.rows * self.pitch
         width = 0.5 * self.columns * self.pitch + (0.25 * self.pitch if self.rows > 1 else 0.0)
         return width, (0.5 * (self.rows - 1) * ROW_SPACING + 1.0 / np.sqrt(3.0)) * self.pitch
 
     def corners(self) -> NDArray[np.float64]:
-        """Return the (4 or 6, 2) corners of the cell at the origin, counter-clockwise, mm."""
+        """Return the corners (4 or 6, 2) of the cell at the origin, counter-clockwise, mm."""
         turn = np.deg2rad(np.arange(30, 390, 60) if self.hexagonal else np.arange(45, 405, 90))
         return np.asarray(self.circumradius * np.column_stack([np.cos(turn), np.sin(turn)]))
 
     def centres(self) -> NDArray[np.float64]:
-        """Return the (rows, columns, 2) centres in mm."""
+        """Return the centres of the cells, (rows, columns, 2) mm."""
         row, column = np.indices((self.rows, self.columns))
         if not self.hexagonal:
             x, y = column - 0.5 * (self.columns - 1), row - 0.5 * (self.rows - 1)
@@ -61,13 +61,7 @@ class Lattice(NamedTuple):
 
 @kernel
 def centre(lattice: Lattice, column: int, row: int) -> tuple[float, float]:
-    """Return the centre of a cell, which may lie outside the array.
-
-    Parameters
-    ----------
-    lattice : Lattice
-    column, row : int
-    """
+    """Return the centre of a cell, mm; the cell may lie outside the array."""
     p = lattice.pitch
     if not lattice.hexagonal:
         return (column - 0.5 * (lattice.columns - 1)) * p, (row - 0.5 * (lattice.rows - 1)) * p
@@ -77,13 +71,7 @@ def centre(lattice: Lattice, column: int, row: int) -> tuple[float, float]:
 
 @kernel
 def cell_of(lattice: Lattice, x: float, y: float) -> tuple[int, int]:
-    """Return (column, row) of the cell a point lies in; it may lie outside the array.
-
-    Parameters
-    ----------
-    lattice : Lattice
-    x, y : float, mm
-    """
+    """Return (column, row) of the cell that contains a point, mm; the cell may lie outside the array."""
     u, v = x / lattice.pitch, y / lattice.pitch
     if not lattice.hexagonal:
         column = int(np.floor(u + 0.5 * lattice.columns))
@@ -104,14 +92,14 @@ def cell_of(lattice: Lattice, x: float, y: float) -> tuple[int, int]:
 
 @pasted
 def half_hexagon(x: float, y: float) -> float:
-    """Return half the width along x of the hexagon round the origin, two sides along y, whose border meets a point."""
+    """Return half the width along x of the hexagon about the origin, two sides along y, with a point on its border."""
     a, b = 0.5 * x, ROW_SPACING * y
     return max(abs(x), abs(a + b), abs(a - b))
 
 
 @inlined
 def rows_near(lattice: Lattice, y: float, distance: float) -> tuple[int, int]:
-    """Return the first row, and the one behind the last, whose centres are no farther than a distance from y.
+    """Return the first row, and one past the last, with centres at most a distance from y.
 
     Parameters
     ----------
@@ -124,7 +112,7 @@ def rows_near(lattice: Lattice, y: float, distance: float) -> tuple[int, int]:
 
 @inlined
 def columns_near(lattice: Lattice, row: int, x: float, distance: float) -> tuple[int, int]:
-    """Return the first column, and the one behind the last, whose centres in a row are no farther than that from x.
+    """Return the first column, and one past the last, with centres in a row at most a distance from x.
 
     Parameters
     ----------
@@ -138,37 +126,31 @@ def columns_near(lattice: Lattice, row: int, x: float, distance: float) -> tuple
 
 @inlined
 def _numbers_within(middle: float, distance: float, count: int) -> tuple[int, int]:
-    """Return the first, and the one behind the last, of the numbers 0 ... count − 1 within a distance of a middle."""
+    """Return the first, and one past the last, of the numbers 0 ... count − 1 within a distance of a middle."""
     last = min(max(middle + distance, -1.0), count - 1.0)
     return int(np.ceil(min(max(middle - distance, 0.0), float(count)))), int(np.floor(last)) + 1
 
 
 @kernel
 def is_inside(lattice: Lattice, column: int, row: int) -> bool:
-    """Tell whether the array has this cell.
-
-    Parameters
-    ----------
-    lattice : Lattice
-    column, row : int
-    """
+    """Tell whether a cell belongs to the array."""
     return 0 <= column < lattice.columns and 0 <= row < lattice.rows
 
 
 @kernel
 def leaves_at(lattice: Lattice, x: float, y: float, dx: float, dy: float) -> tuple[float, int]:
-    """Return the distance at which a ray leaves the cell at the origin, and through which side.
+    """Return the distance to the exit of a ray from the cell at the origin, and the side of the exit.
 
-    Sides are numbered counter-clockwise from the one that faces +x. A ray that starts a rounding error outside gets a
-    distance just below zero. inf where the ray runs along the axis.
+    Sides are numbered counter-clockwise from the one that faces +x. The distance is slightly negative if the ray starts
+    outside by a rounding error, and inf if the ray runs along z.
 
     Parameters
     ----------
     lattice : Lattice
     x, y : float, mm
-        Where the ray starts, from the cell's centre.
+        Start of the ray, from the cell's centre.
     dx, dy : float
-        Its direction, of any length: the distance is in lengths of it.
+        Direction; its length is the unit of the distance.
     """
     half = 0.5 * lattice.pitch
     nearest, side = np.inf, -1
@@ -196,15 +178,7 @@ def leaves_at(lattice: Lattice, x: float, y: float, dx: float, dy: float) -> tup
 
 @kernel
 def neighbour(lattice: Lattice, column: int, row: int, side: int) -> tuple[int, int]:
-    """Return the cell behind a side.
-
-    Parameters
-    ----------
-    lattice : Lattice
-    column, row : int
-    side : int
-        As `leaves_at` numbers it.
-    """
+    """Return the cell beyond a side, numbered as in `leaves_at`."""
     if not lattice.hexagonal:
         if side == 0:
             return column + 1, row
@@ -229,13 +203,13 @@ def neighbour(lattice: Lattice, column: int, row: int, side: int) -> tuple[int, 
 
 @kernel
 def stays_inside(lattice: Lattice, x: float, y: float, to_x: float, to_y: float) -> bool:
-    """Tell whether the line from a point over the array to another one passes over its cells only.
+    """Tell whether the line from a point over the array to another passes over its cells only.
 
     Parameters
     ----------
     lattice : Lattice
     x, y, to_x, to_y : float, mm
-        Both ends of the line.
+        Ends of the line.
     """
     to_column, to_row = cell_of(lattice, to_x, to_y)
     if not is_inside(lattice, to_column, to_row):

@@ -1,11 +1,10 @@
-"""Profiles of lenslets that are no spheres: conics with even terms, of revolution or along a line (cylinders).
+"""Aspheric lenslet profiles: conics with even terms, of revolution or along a line (cylinders).
 
-The sag is that of ISO 10110-12, over the distance ρ from the lenslet's apex, or from its line of apexes:
+The sag is that of ISO 10110-12, with ρ the distance from the lenslet's apex, or from the line of apexes of a cylinder:
 
     z(ρ) = c ρ² / (1 + sqrt(1 − (1 + k) c² ρ²)) + a₄ ρ⁴ + a₆ ρ⁶ + ...,   ρ² = wₓ x² + w_y y²
 
-with both weights 1 for a surface of revolution, and one of them 0 for cylinders. Rays meet such a face in steps that
-cannot miss a crossing, so that the first of several is found.
+Both weights are 1 for a surface of revolution; one of them is 0 for cylinders.
 """
 
 from typing import Any, NamedTuple
@@ -22,17 +21,17 @@ from lfmesh.optics.bounds import ACROSS, ALONG, SLOPE, profile_extremes
 Array = NDArray[np.float64]
 
 WITHIN = 0.002
-"""Largest distance of the bounds of slopes and bends from the largest ones, over these."""
+"""Largest relative excess of the bounds over the largest slope and second derivative."""
 
 BEYOND_CELL = 1.05
-"""Extent of a profile over the distance to the cell's corner: aimed cells are a little larger."""
+"""Extent of a profile over the distance to the cell's corner; cells that rays are aimed at are slightly larger."""
 
 TINY = float(np.finfo(np.float64).tiny)
 
 
 @by_address
 class Profile(NamedTuple):
-    """Profiles of the types of lenslets of an array.
+    """Profiles of an array's lenslet types.
 
     Attributes
     ----------
@@ -40,13 +39,13 @@ class Profile(NamedTuple):
     terms : (types, n) float64
         Coefficients of ρ⁴, ρ⁶, ... in mm⁻³, mm⁻⁵, ...
     weight_x, weight_y : float
-        Of x² and y² in ρ²: 1, or 0 along the axis of cylinders.
+        Weights of x² and y² in ρ²: 1, or 0 along the axis of cylinders.
     domain : float, mm
-        Largest ρ at which the profile is used.
+        Largest ρ used.
     steepest : (types,) float64
-        Bound of the slope up to there.
+        Bound of the slope in the domain.
     bend : (types,) float64, 1/mm
-        Bound of the second derivative of the sag, in any direction, up to there.
+        Bound of the second derivative of the sag, in any direction, in the domain.
     """
 
     conic: Array
@@ -61,7 +60,7 @@ class Profile(NamedTuple):
 def _largest(
     curvature: float, conic: float, terms: Array, radius: float, stretch: tuple[float, float], orders: tuple[int, ...]
 ) -> float:
-    """Return a bound of the largest slope or second derivative, either way, of lenslets of a type.
+    """Return a bound of the magnitude of a type's slope or second derivative.
 
     Parameters
     ----------
@@ -80,23 +79,23 @@ def _largest(
 
 
 def powers_of(terms: Array) -> list[tuple[int, float]]:
-    """Return exponents of the distance ρ with their coefficients."""
+    """Return pairs of exponent of ρ and coefficient."""
     return [(4 + 2 * i, float(a)) for i, a in enumerate(terms)]
 
 
 def profile_of(
     curvature: Array, conic: Array, terms: Array, cylinder_axis: str | None, reach: float, stretch: tuple[float, float]
 ) -> Profile:
-    """Return the profiles of an array's types, with what bounds their slopes.
+    """Return the profiles of an array's types, with bounds of their slopes and second derivatives.
 
     Parameters
     ----------
     curvature, conic : (types,) float64
     terms : (types, n) float64
     cylinder_axis : str, optional
-        "x" or "y", along which the lenslets are cylinders.
+        Axis of cylindrical lenslets, "x" or "y".
     reach : float, mm
-        Largest distance of a point of a cell from the apex, or from the line of apexes. The profile must not end there.
+        Largest distance of a point of a cell from the apex or the line of apexes. The profile must not end inside it.
     stretch : (2,) float
         Least and largest factor on the curvature.
     """
@@ -105,7 +104,7 @@ def profile_of(
     for c, k in zip(curvature, conic, strict=True):
         steepest = max(abs(c * s) for s in stretch)
         if (1.0 + k) * (steepest * domain) ** 2 >= 1.0:
-            # Half the way, in ρ², from the cell's corner to where the profile ends.
+            # Halfway, in ρ², between the cell's corner and the end of the profile.
             domain = min(domain, float(np.sqrt(0.5 * (reach**2 + 1.0 / ((1.0 + k) * steepest**2)))))
     for c, k, a in zip(curvature, conic, terms, strict=True):
         bounds.append([_largest(c, k, a, domain, stretch, orders) for orders in ((SLOPE,), (ACROSS, ALONG))])
@@ -122,13 +121,13 @@ def profile_of(
 def profile_shape(
     profile: Profile, kind: int, curvature: float, x: float, y: float
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Return the sag of a lenslet at a point, from its apex, and the slopes of the sag along x and y.
+    """Return the sag of a lenslet at a point from its apex, and its slopes along x and y.
 
     Parameters
     ----------
     profile : Profile
     kind : int
-        Type of the lenslet.
+        Lenslet type.
     curvature : float, 1/mm
     x, y : float, mm
     """
@@ -146,13 +145,13 @@ def profile_shape(
 
 @inlined
 def is_steeper(profile: Profile, kind: int, dx: float, dy: float, dz: float) -> bool:
-    """Tell whether a direction is steeper than a lenslet's face is anywhere, so that it crosses the face but once.
+    """Tell whether a direction is steeper than a type's whole face, so that it crosses a face only once.
 
     Parameters
     ----------
     profile : Profile
     kind : int
-        Type of the lenslet.
+        Lenslet type.
     dx, dy, dz : float
         Of any length.
     """
@@ -162,7 +161,7 @@ def is_steeper(profile: Profile, kind: int, dx: float, dy: float, dz: float) -> 
 
 @kernel
 def _shape(of: Any, x: float, y: float) -> tuple[float, float, float]:
-    """Do what `profile_shape` does for a profile, a type and a curvature."""
+    """Call `profile_shape` with a tuple of profile, type and curvature."""
     return profile_shape(of[0], of[1], of[2], x, y)
 
 
@@ -173,18 +172,16 @@ _first_crossing = crossing_finder(_shape)
 def first_crossing(
     profile: Profile, kind: int, curvature: float, ray: Ray, side: float, begin: float, end: float
 ) -> tuple[bool, float]:
-    """Return whether, and at which distance, a ray first crosses a lenslet's face; see `crossing_finder`.
+    """Return whether a ray crosses a lenslet's face, and the first distance; see `crossing_finder`.
 
     Parameters
     ----------
-    profile : Profile
-    kind : int
-        Type of the lenslet.
-    curvature : float, 1/mm
+    profile, kind, curvature
+        See `profile_shape`.
     ray : Ray
-        From the apex. Distances are in lengths of its direction, which may have any.
+        From the apex; the length of its direction is the unit of distances.
     side : float
-        1 for a ray in the air before the face, −1 in the glass behind it.
+        1 for a ray in the air in front of the face, −1 in the glass behind it.
     begin, end : float
         Distances between which the ray is in the cell.
     """
@@ -197,21 +194,19 @@ def next_fall(
     profile: Profile, kind: int, curvature: float, ax: float, ay: float, gx: float, gy: float,
     side: float, begin: float, end: float,
 ) -> tuple[bool, float, float]:  # fmt: skip
-    """Return where the line (a + g z, z) next crosses a lenslet's face into the glass, with growing z.
+    """Find the next crossing of the line (a + g z, z) with a lenslet's face into the glass, with increasing z.
 
     Parameters
     ----------
-    profile : Profile
-    kind : int
-        Type of the lenslet.
-    curvature : float, 1/mm
+    profile, kind, curvature
+        See `profile_shape`.
     ax, ay : float, mm
         From the apex.
     gx, gy : float
     side : float
-        1 where the line begins before the face, −1 behind it, 0 where that is not known.
+        1 if the line begins in front of the face, −1 behind it, 0 if unknown.
     begin, end : float, mm
-        Heights between which it is looked for.
+        Range of z.
 
     Returns
     -------
@@ -241,7 +236,7 @@ def next_fall(
 def within_domain(
     profile: Profile, ax: float, ay: float, gx: float, gy: float, begin: float, end: float
 ) -> tuple[float, float]:
-    """Return the part of a piece of the line (a + g z, z) that is within the profile's domain; none: a reversed one.
+    """Clip a piece of the line (a + g z, z) to the profile's domain; an empty result has begin > end.
 
     Parameters
     ----------
@@ -250,7 +245,7 @@ def within_domain(
         From the apex.
     gx, gy : float
     begin, end : float, mm
-        Heights.
+        Range of z.
     """
     g2 = profile.weight_x * gx * gx + profile.weight_y * gy * gy
     ag = profile.weight_x * ax * gx + profile.weight_y * ay * gy
@@ -266,13 +261,12 @@ def within_domain(
 
 @kernel
 def fill_shapes(profile: Profile, kind: int, curvature: float, points: Array, z: Array, normals: Array) -> None:
-    """Write the sag of a lenslet, and its unit normals towards +z, at points from its apex.
+    """Write the sag of a lenslet and its unit normals towards +z at points from its apex.
 
     Parameters
     ----------
-    profile : Profile
-    kind : int
-    curvature : float, 1/mm
+    profile, kind, curvature
+        See `profile_shape`.
     points : (n, 2) float64, mm
     z : (n,) float64, mm
     normals : (n, 3) float64

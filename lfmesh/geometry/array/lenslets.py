@@ -1,8 +1,7 @@
-"""The microlens array's shape, in its own frame: z runs from the curved face into the glass, apexes at z = 0.
+"""Shape of the microlens array in its own frame: z runs from the curved face into the glass, apexes lie at z = 0.
 
-Every lenslet is the same cap on its own cell, up to three types (multi-focus), and may carry form errors (decentre,
-radius). It is a sphere, or has a `lenslet_profile`: a conic with even terms, of revolution or a cylinder. Its meshes
-are in `array_mesh`.
+Each lenslet is a cap on its own cell: a sphere, or a `lenslet_profile`. There are up to three types (multi-focus), and
+lenslets may have form errors (decentre, radius). For meshes, see `array_mesh`.
 """
 
 from collections.abc import Sequence
@@ -34,12 +33,12 @@ SUBDIVISIONS = 6
 """Triangles along a cell's side (square) or from its centre to a corner (hexagonal)."""
 
 DEPTH_WITHIN = 1e-6
-"""Largest distance of the bound of the depth of a face that is no sphere from that depth, over it."""
+"""Largest relative excess of the depth bounds of an aspheric face."""
 
 
 @by_address
 class Lenslets(NamedTuple):
-    """The lattice with what stands on it.
+    """Lattice and shapes of the lenslets.
 
     Attributes
     ----------
@@ -49,15 +48,15 @@ class Lenslets(NamedTuple):
     thickness : float, mm
         Apex to flat face.
     decentre : (cells, 2) float64, mm
-        Apex of each lenslet from its cell's centre, row by row; empty when all are zero.
+        Apex of each lenslet from its cell's centre, row by row; empty if all are zero.
     stretch : (cells,) float64
-        Curvature of each lenslet over its type's; empty when all are one.
+        Curvature of each lenslet over its type's; empty if all are one.
     top, valley : float, mm
-        The layer between the smallest and the largest z of the curved face.
+        Least and largest z of the curved face.
     profile : Profile
-        None where all are spheres: code for other faces is then not even compiled.
+        None if all lenslets are spheres; code for other faces is then not even compiled.
     clear_radius : float, mm
-        Of the clear circle about each cell's centre, beside which a mask is; infinite where cells are clear.
+        Radius of the mask's opening over each cell, about its centre; inf without a mask.
     """
 
     lattice: Lattice
@@ -77,7 +76,7 @@ class Lenslets(NamedTuple):
 
     @property
     def apexes(self) -> Array:
-        """(rows, columns, 2) mm: where the lenslets' apexes stand."""
+        """Positions of the lenslets' apexes, (rows, columns, 2) mm."""
         centres = self.lattice.centres()
         return centres + self.decentre.reshape(centres.shape) if len(self.decentre) else centres
 
@@ -94,13 +93,13 @@ def lenslets(
     asphere_mm: Sequence[Sequence[float]] = ((),),
     cylinder_axis: str | None = None,
 ) -> Lenslets:
-    """Draw the shape of a microlens array with its form errors: normal, of the rms given.
+    """Return a microlens array with random form errors, normally distributed with the given rms.
 
     Parameters
     ----------
     lattice : Lattice
     radius_mm : (types,) float64
-        Of each type of lenslet, signed.
+        Signed.
     thickness_mm : float
         From the apexes to the flat face.
     decenter_mm : float
@@ -111,18 +110,18 @@ def lenslets(
     conic : (types,) or (1,) float
         Conic constant of each type, or of all.
     asphere_mm : (types, n) or (1, n) float
-        Coefficients of r⁴, r⁶, ... of each type, or of all; not all need be given.
+        Coefficients of r⁴, r⁶, ... of each type, or of all. Trailing zeros may be omitted.
     cylinder_axis : str, optional
-        "x" or "y", along which the lenslets are cylinders, each over a whole row or column of cells.
+        "x" or "y": the lenslets are cylinders along this axis, each over a whole row or column of cells.
 
     Raises
     ------
     SceneError
-        The errors leave a lenslet that is no cap over its whole cell, or cuts through the flat face.
+        With its errors, a lenslet does not cover its whole cell or cuts through the flat face.
     """
     draw = np.random.default_rng(seed)
     cells = lattice.columns * lattice.rows
-    # Both are drawn whichever is asked for, so that switching one error on leaves the other as it was.
+    # Always draw both, so that switching one error on does not change the other.
     shift = draw.normal(size=(cells, 2)) * (decenter_mm / np.sqrt(2.0))
     stretch = 1.0 / (1.0 + radius_error * draw.normal(size=cells))
     shift, stretch = _along_cylinders(lattice, cylinder_axis, shift), _along_cylinders(lattice, cylinder_axis, stretch)
@@ -163,7 +162,7 @@ def lenslets(
 
 
 def _along_cylinders(lattice: Lattice, cylinder_axis: str | None, values: Array) -> Array:
-    """Return values of cells, row by row, such that all cells of a cylinder have those of its first."""
+    """Give all cells of a cylinder the value of its first cell; values are ordered row by row."""
     if cylinder_axis is None:
         return values
     of_cells = values.reshape(lattice.rows, lattice.columns, *values.shape[1:])
@@ -172,7 +171,7 @@ def _along_cylinders(lattice: Lattice, cylinder_axis: str | None, values: Array)
 
 
 def _of_each_type(types: int, conic: Sequence[float], asphere_mm: Sequence[Sequence[float]]) -> tuple[Array, Array]:
-    """Return the (types,) conic constants and the (types, n) coefficients of an array's types."""
+    """Return the conic constants (types,) and the coefficients (types, n) of an array's types."""
     conics = np.array(np.broadcast_to(np.asarray(conic, np.float64), (types,)))
     terms = np.zeros((len(asphere_mm), max(map(len, asphere_mm))))
     for row, given in zip(terms, asphere_mm, strict=True):
@@ -183,13 +182,13 @@ def _of_each_type(types: int, conic: Sequence[float], asphere_mm: Sequence[Seque
 def _profile_depths(
     curvature: Array, conics: Array, terms: Array, corner: float, stretch: tuple[float, float]
 ) -> list[float]:
-    """Return bounds of the least and the largest sag of each type, which it does not reach."""
+    """Return strict bounds of the least and the largest sag of each type."""
     depths: list[float] = []
     for c, k, a in zip(curvature, conics, terms, strict=True):
         # The sag grows with the curvature at every distance.
         for bent in stretch:
             least, most = profile_extremes((c * bent, c * bent), k, powers_of(a), corner, (SAG,), DEPTH_WITHIN)
-            # Rays look for the face from there on: none begins on it.
+            # The search for the face starts here, so it must not start on the face.
             clear = DEPTH_WITHIN * (most - least)
             depths += [least - clear, most + clear]
     return depths
@@ -207,25 +206,22 @@ def are_alike(mla: Lenslets) -> bool:
 
 @kernel
 def type_of(mla: Lenslets, column: int, row: int) -> int:
-    """Return a cell's type: neighbours differ in an array of three types (hexagonal) or of two (square).
+    """Return the type of a cell.
 
-    Parameters
-    ----------
-    mla : Lenslets
-    column, row : int
+    Neighbours differ in a hexagonal array of three types and in a square array of two.
     """
     types = len(mla.curvature)
     if types == 1:
         return 0
     if mla.lattice.hexagonal:
-        # Axial coordinates make the three types a regular colouring: no two of a kind touch.
+        # Axial coordinates make the three types a regular colouring: no two cells of a type touch.
         return (column - (row >> 1) + 2 * row) % types if types == 3 else (column + row) % types
     return _across_cylinders(mla.profile, column, row) % types
 
 
 @inlined
 def _across_cylinders(profile: Any, column: int, row: int) -> int:
-    """Return the number of a cylinder; of lenslets of revolution column + row."""
+    """Return the number of a cell's cylinder; for lenslets of revolution, column + row."""
     if profile is None:
         return column + row
     return (column if profile.weight_x > 0.0 else 0) + (row if profile.weight_y > 0.0 else 0)
@@ -233,12 +229,7 @@ def _across_cylinders(profile: Any, column: int, row: int) -> int:
 
 @kernel
 def shape_of(mla: Lenslets, column: int, row: int) -> tuple[float, float, float]:
-    """Return a lenslet's curvature and its apex relative to the cell's centre.
-
-    Parameters
-    ----------
-    mla : Lenslets
-    column, row : int
+    """Return a lenslet's curvature, and its apex relative to the cell's centre.
 
     Returns
     -------
@@ -262,22 +253,22 @@ def cap_sag(curvature: float, r2: float) -> float:
 
 @inlined
 def is_spherical(profile: Any) -> bool:
-    """Tell whether the lenslets of a profile, or of none, are spheres."""
+    """Tell whether lenslets with this profile are spheres (they have none)."""
     return profile is None
 
 
 @kernel
 def face_sag(mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float) -> float:
-    """Return the sag of a lenslet at a point from its apex.
+    """Return the sag of a lenslet, mm.
 
     Parameters
     ----------
     mla : Lenslets
     column, row : int
-        Of the lenslet.
     curvature : float, 1/mm
         From `shape_of`.
     x, y : float, mm
+        From the apex.
     """
     return _sag_by(mla.profile, mla, column, row, curvature, x, y)
 
@@ -293,16 +284,16 @@ def _sag_by(profile: Any, mla: Lenslets, column: int, row: int, curvature: float
 def face_normal(
     mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Return the unit normal of a lenslet, towards +z, at a point of its face, from its apex.
+    """Return the unit normal of a lenslet, towards +z.
 
     Parameters
     ----------
     mla : Lenslets
     column, row : int
-        Of the lenslet.
     curvature : float, 1/mm
         From `shape_of`.
     x, y, z : float, mm
+        Point of the face, from the apex.
     """
     return _normal_by(mla.profile, mla, column, row, curvature, (x, y, z))
 
@@ -323,19 +314,18 @@ def _normal_by(
 def meets_profile(
     profile: Any, mla: Lenslets, column: int, row: int, ray: Ray, in_air: bool, begin: float, end: float
 ) -> tuple[bool, float]:
-    """Return whether, and where, a ray first crosses the face of a lenslet that is no sphere; of a sphere False.
+    """Return whether a ray crosses the face of an aspheric lenslet, and the first distance; False for spheres.
 
     Parameters
     ----------
     profile : Profile, or None
-        That of `mla`.
+        Profile of `mla`.
     mla : Lenslets
     column, row : int
-        Of the lenslet.
     ray : Ray
         From the cell's centre.
     in_air : bool
-        The ray is in the air before the face; else in the glass.
+        True for a ray in the air in front of the face, False in the glass.
     begin, end : float, mm
         Distances between which it is in the cell.
     """
@@ -351,18 +341,9 @@ def meets_profile(
 
 @inlined
 def leaves_face(profile: Any, mla: Lenslets, column: int, row: int, dx: float, dy: float, dz: float) -> bool:
-    """Tell whether a ray that starts on a lenslet's face, out of the layer of faces, cannot meet that lenslet again.
+    """Tell whether a ray that leaves a lenslet's face, out of the layer of faces, is sure not to meet that face again.
 
-    A sphere it cannot; of other faces that is known of directions steeper than they are anywhere.
-
-    Parameters
-    ----------
-    profile : Profile, or None
-        That of `mla`.
-    mla : Lenslets
-    column, row : int
-        Of the lenslet.
-    dx, dy, dz : float
+    Spheres are never met again, nor are other faces if the direction is steeper than the whole face.
     """
     if profile is None:
         return True
@@ -371,18 +352,18 @@ def leaves_face(profile: Any, mla: Lenslets, column: int, row: int, dx: float, d
 
 @kernel
 def border_sag(mla: Lenslets, column: int, row: int, x: float, y: float, side: int) -> float:
-    """Return the z of a cell's mesh at a point of one of its sides: on the chord between two vertices of the border.
+    """Return z of a cell's mesh at a point on one of its sides, on the chord between two vertices of the border.
 
-    The side is numbered as in `leaves_at`, by either of the cells that share it. Form errors do not count.
+    Form errors are ignored.
 
     Parameters
     ----------
     mla : Lenslets
     column, row : int
-        Of the cell.
     x, y : float, mm
         From the cell's centre.
     side : int
+        Numbered as in `leaves_at`, by either of the two cells.
     """
     lattice = mla.lattice
     curvature = mla.curvature[type_of(mla, column, row)]
@@ -403,7 +384,7 @@ def border_sag(mla: Lenslets, column: int, row: int, x: float, y: float, side: i
 def _border_vertex(
     profile: Any, mla: Lenslets, column: int, row: int, curvature: float, side: tuple[float, float, float], along: float
 ) -> float:
-    """Return the sag at a distance along a side, given by its normal and distance, from its middle."""
+    """Return the sag at a distance from the middle of a side, given by its normal and distance."""
     nx, ny, half = side
     if profile is None:
         return cap_sag(curvature, half * half + along * along)
@@ -412,20 +393,20 @@ def _border_vertex(
 
 @kernel
 def border_segments(hexagonal: bool, subdivisions: int = SUBDIVISIONS) -> int:
-    """Return how many edges of `cell_pattern` make one side of a cell."""
+    """Return the number of `cell_pattern` edges on one side of a cell."""
     return subdivisions if hexagonal else (subdivisions + 1) // 2
 
 
 def faces_at(mla: Lenslets, kind: int, curvature: float, from_apex: Array) -> tuple[Array, Array]:
-    """Return the sag (n,) of lenslets of a type, mm, and their unit normals (n, 3) towards +z.
+    """Return the sag (n,), mm, and the unit normals (n, 3) towards +z of lenslets of a type.
 
     Parameters
     ----------
     mla : Lenslets
     kind : int
-        The type.
+        Type of the lenslets.
     curvature : float, 1/mm
-        With the error of the lenslet.
+        Including the lenslet's error.
     from_apex : (n, 2) float64, mm
         Points, from the apex.
     """

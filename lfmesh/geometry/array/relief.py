@@ -1,7 +1,6 @@
-"""The relief of lenslets over a plane: height and slope at points; at the borders of cells means of a small box.
+"""Relief of the lenslets over a plane: height and slope at points, averaged over a small box at the borders of cells.
 
-Where cells meet in a step, heights of both sides have no mean that a wave would know. So the mean of the wave goes with
-the height.
+Cells may meet in a step. The mean height then says nothing about the wave, so the mean of the wave is kept too.
 """
 
 import numpy as np
@@ -14,33 +13,33 @@ from lfmesh.kernels.decorators import inlined, kernel
 Array = NDArray[np.float64]
 
 POINTS, TURN = 89, 55
-"""Points of a box that a border crosses: Fibonacci's lattice, which has no two of them in a row or a column."""
+"""Points of a box that a border crosses: a Fibonacci lattice, with no two points in a row or column."""
 
 CELLS = 4
-"""Cells that a box may touch: those of a corner of squares. What lies in more of them counts to the last one."""
+"""Number of cells that a box may touch, as at the corner of squares. Points in further cells count towards the last."""
 
 SUMS = 8
-"""Quantities that are known of each of them."""
+"""Quantities that are summed for each cell."""
 
 
 @kernel
 def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, per_mm: float, parts: Array, relief: Array) -> None:
-    """Fill in the relief of lenslets at points of the array's frame.
+    """Write the relief of the lenslets at points in the array's frame.
 
     Parameters
     ----------
     mla : Lenslets
     x, y : (n,) float64, mm
     box : float, mm
-        Side of the square about each point that is averaged over, where it is not all of one cell.
+        Side of the square about each point that is averaged over, unless it lies in one cell.
     per_mm : float, rad/mm
-        Phase that a wave gains by a face that is higher.
+        Phase that a wave gains per mm of height.
     parts : (CELLS, SUMS) float64
-        Room for sums over the parts of a box in different cells.
+        Workspace for sums over the parts of a box in different cells.
     relief : (6, n) float64
-        Sag in mm, dz/dx and dz/dy, of the clear part of the box: on the array, on no mask; the real and the imaginary
-        part of the wave that passes, over one that passes a whole box of this sag; and the clear share of the box. The
-        sag is the mean, moved along the slope to the point. All are 0 where no part is clear.
+        For the clear part of the box (on the array, not on a mask): sag in mm; dz/dx and dz/dy; real and imaginary part
+        of the transmitted wave over that of a whole box with this sag; clear fraction. The sag is the mean, moved along
+        the slope to the point. All are 0 if no part is clear.
     """
     half = 0.5 * box
     for i in range(len(x)):
@@ -74,7 +73,7 @@ def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, per_mm: float, pa
 
 @inlined
 def _add(mla: Lenslets, x: float, y: float, dx: float, dy: float, parts: Array) -> None:
-    """Add a point of a box, if it is clear, to the part of its cell.
+    """Add a point of a box, if it is clear, to the sums of its cell.
 
     Parameters
     ----------
@@ -82,9 +81,9 @@ def _add(mla: Lenslets, x: float, y: float, dx: float, dy: float, parts: Array) 
     x, y : float, mm
         Middle of the box.
     dx, dy : float, mm
-        From there to the point.
+        Vector from there to the point.
     parts : (CELLS, SUMS) float64
-        Of each cell: number of points, sums of sag, slopes and `dx` and `dy`, column and row.
+        For each cell: number of points; sums of sag, slopes, `dx` and `dy`; column and row.
     """
     column, row = cell_of(mla.lattice, x + dx, y + dy)
     if not is_inside(mla.lattice, column, row):
@@ -110,7 +109,7 @@ def _add(mla: Lenslets, x: float, y: float, dx: float, dy: float, parts: Array) 
 
 @inlined
 def _near_mask(mla: Lenslets, column: int, row: int, x: float, y: float, box: float) -> bool:
-    """Tell whether the border of a cell's clear aperture may cross the box about a point."""
+    """Tell whether the edge of a cell's clear aperture may cross the box about a point."""
     if mla.clear_radius == np.inf:
         return False
     cx, cy = centre(mla.lattice, column, row)
@@ -119,5 +118,5 @@ def _near_mask(mla: Lenslets, column: int, row: int, x: float, y: float, box: fl
 
 @inlined
 def _is_clear(mla: Lenslets, x: float, y: float) -> bool:
-    """Tell whether a lenslet is clear at a point, from the centre of its cell."""
+    """Tell whether a lenslet is clear at a point, given from the centre of its cell."""
     return bool(x * x + y * y <= mla.clear_radius * mla.clear_radius)

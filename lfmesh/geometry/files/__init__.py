@@ -1,1 +1,1 @@
-"""Meshes from files: of triangles, of CAD systems, glTF."""
+"""Meshes from files: triangle meshes, CAD solids, glTF."""

@@ -1,6 +1,6 @@
-"""Open one STEP or 3MF file: the program that `cad_file` runs as a process of its own, within limits.
+"""Program that opens one STEP or 3MF file; `cad_file` runs it as a separate process with resource limits.
 
-It imports nothing of lfmesh, and says what is wrong with the file in one line on its standard error.
+It imports nothing from lfmesh, and reports errors in the file as one line on standard error.
 """
 
 import io
@@ -28,31 +28,32 @@ MM_PER_UNIT = {"micron": 1e-3, "millimeter": 1.0, "centimeter": 10.0, "meter": 1
 PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
 MATERIALS = "http://schemas.microsoft.com/3dmanufacturing/material/2015/02"
 EXTENSIONS = (PRODUCTION, MATERIALS)
-"""Namespaces of extensions that a 3MF model may require: objects in further parts; colours, pictures."""
+"""Extensions that a 3MF model may require: objects in further parts, colours, pictures."""
 
 MOST_MODEL_BYTES = 2**28
-"""Of all models of a 3MF file, unpacked."""
+"""Limit for all models of a 3MF file, unpacked."""
 
 MOST_PLACED_FACETS = 3_000_000
-"""Of all bodies of a 3MF model together, as often as they stand in it."""
+"""Limit for all bodies of a 3MF model, counted once per instance."""
 
 DEEPEST, MOST_PLACED = 50, 100_000
-"""Components within components, and objects in all, as often as they stand in a 3MF file."""
+"""Limits of a 3MF file for the nesting of components, and for objects, counted once per instance."""
 
 FINEST_MM = 1e-6
-"""Tolerance: above the precision that OpenCASCADE calculates with, 1e-7 mm."""
+"""Finest tolerance: above OpenCASCADE's own precision of 1e-7 mm."""
 
 GRACE_SECONDS = 60
-"""Processor time after its limit, in which the signal of that limit ends the process."""
+"""CPU time after the limit within which the limit's signal ends the process."""
 
 TURN_RAD = 0.1
 """Largest turn of a facet's edge on a curved face."""
 
 COARSE_MM = 1e12
-"""Tolerance of the first mesh, which tells the size of the bodies."""
+"""Tolerance of the first mesh, which yields the size of the bodies."""
 
 DEFAULT_TOLERANCE = 3e-4
-"""Of the diagonal of the largest body's box. Much finer facets of glass are slivers, which float32 tilts."""
+"""Default tolerance over the diagonal of the largest body's box. Much finer facets of glass are slivers, which float32
+tilts."""
 
 _STRINGS_AND_COMMENTS = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 _DEFINED = re.compile(rb"#\s*(\d+)\s*=")
@@ -60,11 +61,11 @@ _NAMED = re.compile(rb"#\s*(\d+)")
 
 
 class UnusableError(Exception):
-    """A fault of the file, in one line."""
+    """An error in the file, in one line."""
 
 
 def _limit(mebibytes: int, seconds: int, output_mebibytes: int) -> None:
-    """Limit this process's memory, time on the processor and written files, where the system can."""
+    """Limit this process's memory, CPU time and written files, if the system can."""
     try:
         import resource
     except ImportError:
@@ -75,12 +76,12 @@ def _limit(mebibytes: int, seconds: int, output_mebibytes: int) -> None:
         (resource.RLIMIT_CORE, 0),
     ):
         resource.setrlimit(what, (most, most))
-    # At the soft limit the process gets SIGXCPU; at the hard one SIGKILL, as from a system that is out of memory.
+    # At the soft limit the process gets SIGXCPU; at the hard one SIGKILL, as when the system is out of memory.
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + GRACE_SECONDS))
 
 
 def check_step(content: bytes) -> None:
-    """Raise what OpenCASCADE passes over: a file that is none, is cut short or names what it does not define."""
+    """Raise on errors that OpenCASCADE ignores: not a STEP file, a truncated file, or undefined entities."""
     if not content.lstrip().startswith(b"ISO-10303-21;"):
         raise UnusableError("broken, or not a STEP file: it does not begin with ISO-10303-21;")
     if not content.rstrip().endswith(b"END-ISO-10303-21;"):
@@ -93,15 +94,15 @@ def check_step(content: bytes) -> None:
 
 
 def step_to_glb(content: bytes, tolerance_mm: float | None, factor: float = 1.0) -> bytes:
-    """Return the bodies of a STEP file as a GLB file, with the surfaces that their faces lie on.
+    """Convert the bodies of a STEP file to a GLB file that also lists the surfaces of their faces.
 
     Parameters
     ----------
     content : bytes
     tolerance_mm : float, optional
-        How far a facet may lie off its surface; omitted, by the size of the bodies.
+        Largest distance of a facet from its surface. Default: from the size of the bodies.
     factor : float
-        By which both are multiplied, and the turn of an edge.
+        Factor on the tolerance and on the turn of an edge.
     """
     import cascadio
 
@@ -126,7 +127,7 @@ def step_to_glb(content: bytes, tolerance_mm: float | None, factor: float = 1.0)
 
 
 def _diagonal_mm(glb: bytes) -> float:
-    """Return the diagonal of the largest box round one of a GLB file's meshes, in mm."""
+    """Return the diagonal of the largest mesh box in a GLB file, mm."""
     document = json.loads(glb[20 : 20 + int.from_bytes(glb[12:16], "little")])
     boxes = [(entry["min"], entry["max"]) for entry in document.get("accessors", []) if len(entry.get("max", [])) == 3]
     sizes = [1e3 * float(np.linalg.norm(np.subtract(high, low))) for low, high in boxes]
@@ -136,24 +137,24 @@ def _diagonal_mm(glb: bytes) -> float:
 
 
 Key3mf = tuple[str, str]
-"""Part of the package and number in it, by which an object is known."""
+"""Key of an object: part of the package, and number in it."""
 
 
 class Object3mf(NamedTuple):
-    """An object of a 3MF model: its own facets with the colours of their corners, or other objects with their places.
+    """An object of a 3MF model: facets with corner colours, or other objects with their transforms.
 
-    Colours are coded as sRGB, NaN where a facet has none.
+    Colours are sRGB codes, NaN if a facet has none.
     """
 
     name: str
     vertices: Array
     faces: NDArray[np.int64]
     colours: Array | None  # (m, 3, 3)
-    parts: list[tuple[Key3mf, Array]]  # places (4, 3)
+    parts: list[tuple[Key3mf, Array]]  # transforms (4, 3)
 
 
 class _Package:
-    """The models of a 3MF package, each read once, with what is left out of them."""
+    """The models of a 3MF package, each read once, with notes on the parts left out."""
 
     def __init__(self, package: zipfile.ZipFile) -> None:
         self.package = package
@@ -164,7 +165,7 @@ class _Package:
         self._unpacked = 0
 
     def model(self, part: str) -> ElementTree.Element:
-        """Return a model, whose objects are read with it."""
+        """Return a model, after its objects have been read."""
         if part not in self._models:
             content = _unpacked(self.package, part)
             self._unpacked += len(content)
@@ -181,7 +182,7 @@ class _Package:
         return self._models[part]
 
     def object(self, key: Key3mf) -> Object3mf:
-        """Return an object, of the model that it stands in."""
+        """Return an object, reading its model if needed."""
         self.model(key[0])
         if key not in self.objects:
             raise UnusableError(f"broken: its model names object {key[1][:40]!r}, which is not there")
@@ -189,7 +190,7 @@ class _Package:
 
 
 def _check_extensions(root: ElementTree.Element, content: bytes) -> None:
-    """Raise if a model requires an extension that is not read."""
+    """Raise if a model requires an unsupported extension."""
     needed = root.get("requiredextensions", "").split()
     if not needed:
         return
@@ -204,12 +205,12 @@ def _check_extensions(root: ElementTree.Element, content: bytes) -> None:
 
 
 def read_3mf(path: Path) -> dict[str, Any]:
-    """Return the bodies that stand in a 3MF file, in mm: names, and vertices, facets and colours of each.
+    """Return the bodies of a 3MF file in mm: names, and vertices, facets and colours of each.
 
     Raises
     ------
     UnusableError
-        The package or its model is broken, larger than the limits, or needs an extension that is not read.
+        The package or its model is broken, larger than the limits, or needs an unsupported extension.
     """
     try:
         with zipfile.ZipFile(path) as package:
@@ -241,13 +242,13 @@ def _read_package(package: _Package) -> dict[str, Any]:
 
 
 def _named(element: ElementTree.Element, part: str) -> Key3mf:
-    """Return the object that an item or component names: in its own model, or in a part of the package."""
+    """Return the key of the object that an item or component refers to, in its own model or another part."""
     path = element.get(f"{{{PRODUCTION}}}path")
     return (part if path is None else posixpath.normpath(path).lstrip("/"), _need(element, "objectid"))
 
 
 class _Colours:
-    """Colours of a 3MF model by the group and the number in it (Core Specification 1.3, section 5; Materials, 2)."""
+    """Colours of a 3MF model by group and number (Core Specification 1.3, section 5; Materials, 2)."""
 
     def __init__(self, root: ElementTree.Element, notes: dict[str, None]) -> None:
         self.groups: dict[str, Array] = {}
@@ -262,7 +263,7 @@ class _Colours:
                 )
 
     def of(self, used: list[tuple[str | None, ...]], default: tuple[str | None, str | None]) -> Array | None:
-        """Return the (m, 3, 3) colours of facets by their pid, p1, p2 and p3; None where none has one.
+        """Return the colours (m, 3, 3) of facets by their pid, p1, p2 and p3; None if none has one.
 
         Parameters
         ----------
@@ -296,7 +297,7 @@ def _coded(text: str) -> list[float]:
 
 
 def _model_part(package: zipfile.ZipFile) -> str:
-    """Return the name of a package's model, as its relationships tell."""
+    """Return the name of a package's model from its relationships."""
     if "_rels/.rels" not in package.namelist():
         raise UnusableError("broken, or not a 3MF file: the package has no _rels/.rels")
     for each in ElementTree.fromstring(_unpacked(package, "_rels/.rels")).iter():
@@ -306,7 +307,7 @@ def _model_part(package: zipfile.ZipFile) -> str:
 
 
 def _unpacked(package: zipfile.ZipFile, name: str) -> bytes:
-    """Return a part of the package, at most `MOST_MODEL_BYTES` of it, whatever its header says."""
+    """Return a part of the package, refusing more than `MOST_MODEL_BYTES`, whatever its header says."""
     if name not in package.namelist():
         raise UnusableError(f"broken: its part {name[:80]!r} is not there")
     with package.open(name) as part:
@@ -335,7 +336,7 @@ def _numbers(values: list[str | None], of: Callable[[str], float], what: str) ->
 
 
 def _transform(element: ElementTree.Element) -> Array:
-    """Return the (4, 3) affine transform of an item or component; points are rows (section 3.3)."""
+    """Return the affine transform (4, 3) of an item or component; points are rows (section 3.3)."""
     text = element.get("transform", "1 0 0 0 1 0 0 0 1 0 0 0").split()
     if len(text) != 12:
         raise UnusableError(f"broken: a transform of its model has {len(text)} numbers; valid are 12")
@@ -343,7 +344,7 @@ def _transform(element: ElementTree.Element) -> Array:
 
 
 def _object(element: ElementTree.Element, part: str, colours: _Colours) -> Object3mf:
-    """Return an object of a model, with its facets that reach beyond its vertices refused."""
+    """Return an object of a model; refuse facets with undefined vertices."""
     points: list[list[float]] = []
     corners: list[list[float]] = []
     used: list[tuple[str | None, ...]] = []
@@ -369,7 +370,7 @@ def _object(element: ElementTree.Element, part: str, colours: _Colours) -> Objec
 
 
 class _Build:
-    """The bodies that stand in a 3MF file: name, vertices, facets and colours of each, placed."""
+    """The placed bodies of a 3MF file: name, vertices, facets and colours of each."""
 
     def __init__(self, package: _Package) -> None:
         self.package = package
@@ -377,17 +378,17 @@ class _Build:
         self.placed = self.facets = 0
 
     def place(self, key: Key3mf, place: Array, name: str | None = None, depth: int = 0) -> None:
-        """Add an object and its components; `name` is that of the object that it is a component of, if it is one.
+        """Add an object and its components.
 
         Parameters
         ----------
         key : (str, str)
-            Of the object.
         place : (4, 3) float64
             Affine transform of points as rows.
         name : str, optional
+            Name of the object that it is a component of.
         depth : int
-            Of components within components.
+            Nesting of components.
         """
         one = self.package.object(key)
         self.placed += 1
@@ -408,10 +409,10 @@ class _Build:
 
 
 def main(arguments: list[str]) -> None:
-    """Read `path`, write `out`: a GLB file of a STEP file, an npz file of a 3MF file.
+    """Read `path` and write `out`: a GLB file for STEP, an npz file for 3MF.
 
-    The arguments are path, out, tolerance in mm (or 0: that of the file's size), a factor of it, and the limits: memory
-    and output in MiB, seconds.
+    The arguments are path, out, tolerance in mm (0: default), a factor on it, and the limits: memory in MiB, output in
+    MiB and seconds.
     """
     path, out, tolerance, factor = Path(arguments[0]), Path(arguments[1]), float(arguments[2]), float(arguments[3])
     memory, output, seconds = map(int, arguments[4:])

@@ -1,7 +1,8 @@
-"""STEP and 3MF files: bodies in mm, and the surfaces that the faces of a STEP body lie on.
+"""STEP and 3MF files: bodies in mm, and the surfaces of a STEP body's faces.
 
-Both kinds can ask for any time and memory, and what reads STEP is a large library that may crash on a broken file. So
-each is opened by `cad_child` in a process of its own, within limits; what it made is kept while the file is the same.
+Both formats can demand unlimited time and memory, and the large library that reads STEP may crash on a broken file.
+`cad_child` therefore opens each file in a separate process with resource limits. Results are cached until the file
+changes.
 """
 
 import io
@@ -32,54 +33,54 @@ from lfmesh.scene.inputs import file_stamp
 
 STEP_ENDINGS = (".step", ".stp")
 ENDINGS = (*STEP_ENDINGS, ".3mf")
-"""Of files that name their own unit."""
+"""Endings of files that state their own unit."""
 
 MOST_BYTES = 2**28
-"""Of a file."""
+"""Largest file."""
 
 MOST_SECONDS, SECONDS_PER_MEBIBYTE = 25, 10
-"""Processor time for opening one: at least, and beyond that by its size."""
+"""CPU time for opening a file: a constant, plus seconds per MiB."""
 
 SECONDS = "LFMESH_CAD_SECONDS"
-"""Environment variable that sets the processor time in place of these."""
+"""Environment variable that overrides the CPU time."""
 
 WAITING = 60
-"""Time on the clock over the processor time, beyond which the process counts as stuck."""
+"""Wall time over CPU time beyond which the process counts as stuck."""
 
 COARSER = ((1.0, 0.6), (10.0, 0.2), (100.0, 0.2))
-"""Factors of the tolerance by which the facets of a STEP file are tried, and shares of the time for each."""
+"""Factors on the tolerance, tried in turn for a STEP file, and the share of the CPU time for each."""
 
 MOST_MEBIBYTES, MOST_OUTPUT_MEBIBYTES = 1536, 128
-"""Memory of the process that opens a file, and the size of what it makes of it."""
+"""Memory of the process that opens a file, and size of its output."""
 
 MM_PER_METRE = 1e3
 """glTF 2.0, section 3.4: all linear distances are metres."""
 
 LONGEST_REASON = 200
-"""Characters of what the process that opens a file says is wrong with it, which may quote the file."""
+"""Most characters of an error message of that process, which may quote the file."""
 
 OUT_OF_TIME, ENDED_BY_SYSTEM = -24, -9
-"""Codes of a process that ends by SIGXCPU, when its processor time is over, and by SIGKILL, when memory runs short."""
+"""Exit codes of a process ended by SIGXCPU (out of CPU time) and by SIGKILL (out of memory)."""
 
 STRETCHED = 1e-12
-"""Largest deviation of a body's frame from a rotation: rounding."""
+"""Deviation of a body's frame from a rotation that counts as rounding."""
 
 
 @contextmanager
 def step_as_glb(path: Path, tolerance_mm: float | None) -> Iterator[Path]:
-    """Yield a GLB file of the bodies of a STEP file, which is deleted afterwards.
+    """Yield a temporary GLB file with the bodies of a STEP file.
 
     Parameters
     ----------
     path : Path
     tolerance_mm : float, optional
-        How far a facet may lie off its surface; omitted, 3e-4 of the size of the largest body.
+        Largest distance of a facet from its surface. Default: 3e-4 of the size of the largest body.
 
     Raises
     ------
     MeshError
-        The file is broken, opening it takes more than the limits, or the library that opens it is not there. Its
-        message names the STEP file, too where the GLB file is found wrong.
+        The file is broken, opening it exceeds the limits, or the library for it is not installed. The message names the
+        STEP file even if the error is in the GLB file.
     """
     content, doubt = _opened(path.resolve(), file_stamp(path), tolerance_mm, most_seconds(path))
     if doubt:
@@ -95,9 +96,9 @@ def step_as_glb(path: Path, tolerance_mm: float | None) -> Iterator[Path]:
 
 @lru_cache(maxsize=8)
 def _opened(path: Path, stamp: tuple[object, ...], tolerance_mm: float | None, seconds: int) -> tuple[bytes, str]:
-    """Return what `cad_child` makes of a file that is the one with this stamp, and what is not as it should be.
+    """Return the output of `cad_child` for a file with this stamp, and a warning or "".
 
-    A STEP file whose facets take more than their share of the processor time, s, gets coarser ones.
+    If the facets of a STEP file exceed their share of the CPU time (s), they are made coarser.
     """
     is_step = path.suffix.lower() in STEP_ENDINGS
     if is_step and find_spec("cascadio") is None:
@@ -118,7 +119,7 @@ def _opened(path: Path, stamp: tuple[object, ...], tolerance_mm: float | None, s
 
 
 def _coarser_in_words(factor: float, tolerance_mm: float | None, seconds: int) -> str:
-    """Return what to say of facets that are coarser than asked for by a factor; nothing where it is 1."""
+    """Return a warning that facets are coarser than requested by a factor; "" if it is 1."""
     if factor == 1.0:
         return ""
     asked = f"tolerance_mm = {tolerance_mm:g}" if tolerance_mm else "usual"
@@ -130,12 +131,12 @@ def _coarser_in_words(factor: float, tolerance_mm: float | None, seconds: int) -
 
 
 def most_seconds(path: Path) -> int:
-    """Return the processor time, s, that opening a file may take: by its size, or as the environment sets it.
+    """Return the CPU time allowed for opening a file, s: from its size, or from the environment.
 
     Raises
     ------
     MeshError
-        The environment variable is no whole number above 0.
+        The environment variable is not a whole number above 0.
     """
     given = os.environ.get(SECONDS, "").strip()
     if not given:
@@ -146,11 +147,11 @@ def most_seconds(path: Path) -> int:
 
 
 def _child(program: str, path: Path, out: Path, seconds: int, *options: str) -> subprocess.CompletedProcess[bytes]:
-    """Run a program on a file, in a process of its own within limits."""
+    """Run a program on a file, in a separate process with resource limits."""
     limits = [str(number) for number in (MOST_MEBIBYTES, MOST_OUTPUT_MEBIBYTES, seconds)]
-    # Not by -m: the package would be loaded, and its compiled parts count as memory.
+    # Not by -m, which would load the package; its compiled parts count as memory.
     command = [sys.executable, "-P", program, str(path), str(out), *options, *limits]
-    # Where the system limits no processor time, the clock has to do.
+    # If the system cannot limit CPU time, limit wall time instead.
     wait = WAITING * seconds if find_spec("resource") is not None else seconds
     try:
         return subprocess.run(command, capture_output=True, timeout=wait, check=False)
@@ -159,24 +160,24 @@ def _child(program: str, path: Path, out: Path, seconds: int, *options: str) -> 
 
 
 def _way_out(path: Path) -> str:
-    """Return what to do about a file that asks for too much."""
+    """Return advice on a file that exceeds the limits."""
     if path.suffix.lower() in STEP_ENDINGS:
         return "give a larger tolerance_mm, or save its bodies as STL or GLB"
     return "save it with fewer facets"
 
 
 def _reason(path: Path, code: int, errors: bytes, seconds: int) -> str:
-    """Return why the child failed on a file: what it says, or what its end tells.
+    """Return the reason why the child failed on a file, from its output or exit code.
 
     Parameters
     ----------
     path : Path
     code : int
-        It ended with.
+        Exit code.
     errors : bytes
-        It wrote.
+        Standard error.
     seconds : int
-        Processor time that it had.
+        CPU time limit.
     """
     lines = errors.decode("utf-8", errors="replace").splitlines()
     said = next((line.removeprefix("unusable: ") for line in lines if line.startswith("unusable: ")), None)
@@ -195,16 +196,16 @@ def _reason(path: Path, code: int, errors: bytes, seconds: int) -> str:
             f"to more, or {_way_out(path)}"
         )
     if code < 0:
-        # OpenCASCADE may crash where it gets no memory, as it may on a file that it does not expect.
+        # OpenCASCADE may crash for want of memory as well as on an unexpected file.
         return f"broken, or needs more than {MOST_MEBIBYTES} MiB, the most; {_way_out(path)}"
     last = lines[-1][:LONGEST_REASON] if lines else f"ended with {code}"
     return f"broken, or of a kind that cannot be read (the program that opened it: {last})"
 
 
 def named_by_body(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON of a STEP file's GLB with nodes that go by their body's name, not by that of its place.
+    """Return the JSON of a STEP file's GLB with nodes named after their bodies instead of their places.
 
-    The place of a part in an assembly is often numbered, and the part has the name that its designer gave it.
+    A place in an assembly is often just a number, while the body has the name that its designer gave it.
     """
     meshes = document.get("meshes", [])
     nodes = [
@@ -223,17 +224,17 @@ def surfaces_of_nodes(
 ) -> list[Told]:  # fmt: skip
     """Return the surfaces that faces of a STEP file may lie on.
 
-    OpenCASCADE tells which planes and spheres its faces lie on. Others are read from the file's own entities; which
-    body each belongs to is not, so that each is put into the frame of every body that is meant.
+    OpenCASCADE reports planes and spheres. The others are read from the file's own entities without knowing their body,
+    so each is put into the frame of every requested body.
 
     Parameters
     ----------
     path : Path
         The STEP file.
     document : dict
-        JSON of the GLB file that was made of it.
+        JSON of the GLB file made from it.
     nodes : list of ((4, 4) float64, dict)
-        Place in the scene, m, and entry of the nodes that are meant.
+        Transform to the scene, m, and entry of each requested node.
     """
     found: list[Told] = []
     own = _own_surfaces(path.resolve(), file_stamp(path))
@@ -251,7 +252,7 @@ def surfaces_of_nodes(
 
 
 def _face_of_kernel(told: Any) -> dict[str, Any] | None:
-    """Return one face that OpenCASCADE tells, as `step_surfaces` writes surfaces, if it is a plane or sphere."""
+    """Return a face reported by OpenCASCADE in the format of `step_surfaces`, if it is a plane or sphere."""
     if not isinstance(told, dict) or told.get("type") not in ("plane", "sphere"):
         return None
     is_plane = told["type"] == "plane"
@@ -263,7 +264,7 @@ def _face_of_kernel(told: Any) -> dict[str, Any] | None:
 
 @lru_cache(maxsize=8)
 def _own_surfaces(path: Path, stamp: tuple[object, ...]) -> list[dict[str, Any]]:
-    """Return the surfaces that `step_surfaces` reads from a file; none where it comes to no end within the limits."""
+    """Return the surfaces that `step_surfaces` reads from a file; none if it exceeds the limits."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
         done = _child(step_surfaces.__file__, path, out, most_seconds(path))
@@ -280,9 +281,9 @@ def pieces_of_3mf(path: Path, key: str | int | None, alpha: bool, notes: Notes) 
     ----------
     path : Path
     key : str or int, optional
-        A body's name, which other bodies may not have, or its number from 0.
+        A body's unique name, or its number from 0.
     alpha : bool
-        Give colours an alpha, too.
+        Add an alpha to colours.
     notes : Notes
 
     Raises
@@ -306,7 +307,7 @@ def pieces_of_3mf(path: Path, key: str | int | None, alpha: bool, notes: Notes) 
 
 
 def _piece_of_3mf(arrays: Mapping[str, NDArray[Any]], number: int, alpha: bool) -> Piece:
-    """Return a body of a 3MF file; what has no colour has that of the scene."""
+    """Return a body of a 3MF file; facets without a colour get the scene's."""
     mesh = Mesh(arrays[f"vertices_{number}"], arrays[f"faces_{number}"])
     channels = 4 if alpha else 3
     if f"colours_{number}" not in arrays:

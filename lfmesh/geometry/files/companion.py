@@ -1,4 +1,4 @@
-"""Files that a mesh file names, such as materials and pictures: only those beside it or below are opened."""
+"""Files that a mesh file refers to, such as materials and pictures. Only those in its folder or below are opened."""
 
 import os
 from pathlib import Path
@@ -7,21 +7,21 @@ from lfmesh.errors import MeshError
 
 
 def check_companion(path: Path, name: str, kind: str) -> None:
-    """Raise if a file that a mesh names lies outside its folder: a mesh from elsewhere must not open other files.
+    """Raise if a mesh refers to a file outside its folder: a mesh from elsewhere must not open other files.
 
     Parameters
     ----------
     path : Path
         The mesh file.
     name : str
-        Of the other file, relative to the mesh's folder.
+        The other file, relative to the mesh's folder.
     kind : str
-        What it is in messages, such as "picture".
+        Kind of file in messages, such as "picture".
 
     Raises
     ------
     MeshError
-        It lies elsewhere, is no regular file, or its name is impossible.
+        The file is elsewhere or not regular, or its name is impossible.
     """
     inside = "\0" not in name and Path(os.path.normpath(path.parent / name)).is_relative_to(
         os.path.normpath(path.parent)

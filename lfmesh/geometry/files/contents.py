@@ -1,7 +1,7 @@
 """Contents of a mesh file, counted without its reader: facets, materials, pictures and coloured facets.
 
-The counts come from what the file says in its own words and numbers, by code that shares nothing with the readers, so
-that a reader that passes over a part of a file is found out.
+The counts come straight from the file, by code that shares nothing with the readers. They expose a reader that skips
+part of a file.
 """
 
 import json
@@ -22,13 +22,13 @@ class Contents:
     Attributes
     ----------
     facets : int
-        Triangles, those that polygons are cut into, as often as they stand in the file's scene.
+        Triangles in the file's scene, once per instance; polygons count as the triangles that they are cut into.
     materials : int
         Named materials that facets use.
     pictures : int
-        Pictures of these: of base colour, and of metallic and roughness.
+        Pictures of these materials: base colour, and metallic and roughness.
     coloured : int
-        Facets with colours of their own or of their vertices.
+        Facets with their own or their vertices' colours.
     """
 
     facets: int
@@ -44,7 +44,7 @@ class Contents:
 
 
 def held(pieces: Iterable[Piece]) -> Contents:
-    """Return the counts of what was read."""
+    """Return the counts of the pieces read."""
     pieces = list(pieces)
     return Contents(
         sum(len(piece.mesh.faces) for piece in pieces),
@@ -56,13 +56,13 @@ def held(pieces: Iterable[Piece]) -> Contents:
 
 
 def counted(path: Path, node: str | int | None = None) -> Contents | None:
-    """Return the counts of a file that its reader can read; None of one whose facets are not in it, or not alone.
+    """Return the counts of a readable file; None for formats with facets that are not, or not only, in the file.
 
     Parameters
     ----------
     path : Path
     node : str or int, optional
-        The part that is meant; only whole files are counted.
+        The requested part; only whole files are counted.
     """
     of = _BY_ENDING.get(path.suffix.lower())
     if of is None or node is not None:
@@ -104,7 +104,7 @@ def _of_obj(path: Path) -> Contents:
 
 
 def _materials(path: Path, library: str, defined: dict[str, str]) -> None:
-    """Add the materials of the files that an mtllib line names, each with the last word of its map_Kd line."""
+    """Add the materials of the files in an mtllib line, each with the last word of its map_Kd line."""
     for name in (library, library.split("#")[0].strip(), *library.split()):
         file = path.parent / name.replace("\\", "/")
         if not file.is_file():
@@ -178,7 +178,7 @@ def _of_ply(path: Path) -> Contents | None:
         if name == "face":
             facets += sum(max(0, count - 2) for count in counts)
         elif name == "tristrips":
-            # Restarts of strips stand among the indices, which only a reader looks at.
+            # Strips restart at markers among the indices, which only a reader examines.
             return None
     coloured = any("red" in kind or "diffuse_red" in kind for _, _, kinds in elements for kind in kinds)
     return Contents(facets, 0, 1 if b"TextureFile" in head else 0, facets if coloured else 0)

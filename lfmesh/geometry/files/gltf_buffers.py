@@ -1,7 +1,7 @@
-"""Numbers and bytes that a glTF file stores: buffers, their views, and accessors.
+"""Numbers and bytes in a glTF file: buffers, their views, and accessors.
 
-glTF 2.0, sections 3.6 and 5.1: an accessor has a number of entries of one type, which stand in a view of a buffer with
-a stride, or are zero, and of which some are replaced where it is sparse. Whole numbers may stand for shares of 1.
+glTF 2.0, sections 3.6 and 5.1: an accessor has a number of entries of one type, stored with a stride in a view of a
+buffer, or zero. A sparse accessor replaces some of them. Integers may stand for fractions of 1.
 """
 
 import base64
@@ -22,20 +22,20 @@ from lfmesh.geometry.meshes.mesh import Array, Index
 from lfmesh.regular_file import open_regular, read_bytes
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-"""Kinds of numbers by glTF's own (section 5.1.3)."""
+"""Number types by glTF's codes (section 5.1.3)."""
 
 TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-"""Numbers of an entry, for the types that meshes use (section 5.1.6)."""
+"""Numbers per entry, for the types that meshes use (section 5.1.6)."""
 
 LONGEST_STRIDE = 252
-"""Bytes from one entry to the next (section 5.11)."""
+"""Most bytes from one entry to the next (section 5.11)."""
 
 MOST_ZEROS = 10_000_000
-"""Entries of an accessor that the file does not store."""
+"""Most entries of an accessor without stored data."""
 
 
 def names_of(uri: str) -> list[str]:
-    """Return the files that a uri may mean: percent-encoded, as it should be, or as it stands."""
+    """Return the files that a URI may mean: percent-decoded, as it should be, or unchanged."""
     return list(dict.fromkeys((unquote(uri), uri)))
 
 
@@ -46,7 +46,7 @@ class Buffers:
     ----------
     path : Path
     document : dict
-        Its JSON.
+        JSON of the file.
     """
 
     def __init__(self, path: Path, document: dict[str, Any]) -> None:
@@ -62,7 +62,7 @@ class Buffers:
 
     @cached_property
     def _chunk(self) -> tuple[int, int]:
-        """Place and length of the binary chunk in a GLB file."""
+        """Position and length of the binary chunk in a GLB file."""
         return binary_chunk(self.path)
 
     def _is_chunk(self, number: int) -> bool:
@@ -70,7 +70,7 @@ class Buffers:
         return number == 0 and self._entry("buffers", number).get("uri") is None and self.path.suffix.lower() == ".glb"
 
     def _content(self, number: int) -> bytes:
-        """Return the bytes of a buffer that is no binary chunk."""
+        """Return the bytes of a buffer other than the binary chunk."""
         uri = self._entry("buffers", number).get("uri")
         if uri is None:
             raise ValueError(f"buffers[{number}] has no uri: an extension that is not read would fill it")
@@ -79,7 +79,7 @@ class Buffers:
         return self._contents[number]
 
     def view(self, number: Any) -> tuple[memoryview, int]:
-        """Return the bytes of a view, and its stride; 0 where it gives none."""
+        """Return the bytes of a view, and its stride, or 0 if it has none."""
         entry = self._entry("bufferViews", number)
         buffer = entry.get("buffer")
         self._entry("buffers", buffer)
@@ -93,7 +93,7 @@ class Buffers:
         if not self._is_chunk(buffer):
             return memoryview(self._content(buffer))[start : start + length], _whole(entry, "byteStride", 0)
         if number not in self._views:
-            # Nothing else of the file: a scene may name each of its hundreds of nodes as a target of its own.
+            # Read no more of the file: a scene may use each of its hundreds of nodes as a separate target.
             with open_regular(self.path) as file:
                 file.seek(self._chunk[0] + start)
                 self._views[number] = file.read(length)
@@ -106,24 +106,24 @@ class Buffers:
         ----------
         number : int
         types : tuple of str
-            That are valid here.
+            Valid types.
         """
         values, normalized = self._numbers(number, types)
         made = values.astype(np.float64)
         if normalized and values.dtype.kind in "iu":
-            # Section 3.11: signed ones reach -1 twice.
+            # Section 3.11: two signed integers map to −1.
             made = np.maximum(made / np.iinfo(values.dtype).max, -1.0)
         return made
 
     def indices(self, number: Any) -> Index:
-        """Return the whole numbers of an accessor, (count,)."""
+        """Return the integers of an accessor, (count,)."""
         values, _ = self._numbers(number, ("SCALAR",))
         if values.dtype.kind != "u":
             raise ValueError(f"accessors[{number}] has no unsigned whole numbers, which indices are")
         return values[:, 0].astype(np.int64)
 
     def _numbers(self, number: Any, types: tuple[str, ...]) -> tuple[NDArray[Any], bool]:
-        """Return the numbers of an accessor as they are stored, and whether they are shares of 1."""
+        """Return the stored numbers of an accessor, and whether they are fractions of 1."""
         entry = self._entry("accessors", number)
         where = f"accessors[{number}]"
         kind = entry.get("type")
@@ -145,7 +145,7 @@ class Buffers:
         return _strided(where, view, dtype, (count, width), _whole(entry, "byteOffset", 0), stride)
 
     def _with_sparse(self, where: str, sparse: Any, values: Array, dtype: np.dtype[Any]) -> Array:
-        """Return stored numbers with those in place that a sparse accessor replaces (section 3.6.2.3)."""
+        """Return stored numbers with the replacements of a sparse accessor (section 3.6.2.3)."""
         if not isinstance(sparse, dict) or not all(isinstance(sparse.get(key), dict) for key in ("indices", "values")):
             raise ValueError(f"{where}.sparse has no indices and values")
         count = _whole(sparse, "count", None)
@@ -168,7 +168,7 @@ class Buffers:
 def _strided(
     where: str, view: memoryview, dtype: np.dtype[Any], shape: tuple[int, int], offset: int, stride: int
 ) -> Array:  # fmt: skip
-    """Return the numbers of a view from an offset on, not copied."""
+    """Return the numbers of a view from an offset on, without a copy."""
     count, width = shape
     size = width * dtype.itemsize
     stride = stride or size
@@ -197,9 +197,9 @@ def _whole(entry: dict[str, Any], key: str, default: int | None) -> int:
 
 
 def binary_chunk(path: Path) -> tuple[int, int]:
-    """Return place and length of the binary chunk of a GLB file; length 0 where it has none.
+    """Return position and length of the binary chunk of a GLB file; length 0 if it has none.
 
-    It follows the chunk of the JSON (glTF 2.0, section 4.4). Of a chunk that is cut short, only what is there counts.
+    It follows the JSON chunk (glTF 2.0, section 4.4). For a truncated chunk, the length is that of the existing part.
     """
     with open_regular(path) as file:
         start = 28 + int.from_bytes(file.read(20)[12:16], "little")
@@ -211,22 +211,21 @@ def binary_chunk(path: Path) -> tuple[int, int]:
 
 
 def bytes_of(path: Path, uri: Any, kind: str) -> bytes:
-    """Return what a uri means: the data in it, or the content of a file beside the glTF file.
+    """Return the data in a URI, or the content of the file beside the glTF file that it names.
 
     Parameters
     ----------
     path : Path
-        The glTF file.
     uri : str
     kind : str
-        What it is, in messages.
+        Kind of data in messages.
 
     Raises
     ------
     MeshError
-        The file is not there, or lies elsewhere.
+        The file does not exist, or is elsewhere.
     ValueError
-        The uri holds no data.
+        The URI holds no data.
     """
     if not isinstance(uri, str):
         raise ValueError(f"the uri of a {kind} is {repr(uri)[:40]}; valid is text")

@@ -1,7 +1,7 @@
-"""Properties of a glTF object's node, mesh and material that a target does not take over.
+"""Properties of a glTF object's node, mesh and material that a target ignores.
 
-Every property of the specification (glTF 2.0, section 5) stands in one of the tables below: taken, without effect on
-light, or left out with the words that say so. What stands in none of them, such as an extension, is left out by name.
+The tables below list each property in the specification (glTF 2.0, section 5): used or without effect on light, or
+ignored, with a message. Unlisted properties, such as extensions, are reported by name.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -11,14 +11,14 @@ from lfmesh.geometry.files.gltf_looks import SPECULAR_GLOSSINESS, only_specular
 from lfmesh.geometry.files.gltf_nodes import Node
 
 SILENT = ""
-"""In place of words: taken, or without effect on light."""
+"""Instead of a message: used, or without effect on light."""
 
 _EVERYWHERE = dict.fromkeys(("name", "extras"), SILENT)
 
 OF_NODE = _EVERYWHERE | {
     **dict.fromkeys(("camera", "children", "matrix", "mesh", "rotation", "scale", "translation"), SILENT),
     "skin": "its bones are left out: it stands in the shape that it was made in",
-    # The weights of morph targets, which the primitives tell of.
+    # Weights of morph targets, which are reported for the primitives.
     "weights": SILENT,
 }
 OF_MESH = _EVERYWHERE | dict.fromkeys(("primitives", "weights"), SILENT)
@@ -28,16 +28,16 @@ OF_PRIMITIVE = _EVERYWHERE | {
     "targets": "its shape keys (morph targets) are left out",
 }
 OF_ATTRIBUTES = {
-    # Where a picture leaves vertex colours no place, that is said when the facets are read.
+    # Vertex colours replaced by a picture are reported when the facets are read.
     **dict.fromkeys(("POSITION", "NORMAL", "TANGENT", "COLOR_0"), SILENT),
     "COLOR_1": "its second vertex colours are left out",
 }
-"""Those that end in a number beyond what is told here, such as joints and further places in pictures, are silent:
-other properties that use them are told of."""
+"""Attributes numbered beyond these, such as joints and further texture coordinates, are silent: the properties that use
+them are reported."""
 OF_MATERIAL = _EVERYWHERE | {
     **dict.fromkeys(("pbrMetallicRoughness", "alphaMode", "alphaCutoff", "doubleSided"), SILENT),
     "normalTexture": "its normal map is left out",
-    # Darkening that stands for light which is traced here.
+    # A substitute for shadowing, which is traced here.
     "occlusionTexture": SILENT,
     "emissiveFactor": "its emission is left out",
     "emissiveTexture": "its emission is left out",
@@ -56,18 +56,11 @@ OF_IMAGE = _EVERYWHERE | dict.fromkeys(("uri", "mimeType", "bufferView"), SILENT
 _LINEAR = 9729
 
 _TAKEN = ("KHR_lights_punctual", "KHR_texture_transform", "KHR_materials_emissive_strength", "KHR_xmp_json_ld")
-"""Extensions that are taken, one that multiplies an emission which is told of, and one that holds words alone."""
+"""Extensions that are used; one that multiplies an emission, which is reported itself; and one that holds only text."""
 
 
 def left_out_of_scene(document: dict[str, Any], nodes: Iterable[Node]) -> Iterator[tuple[str, str]]:
-    """Yield place and words of what is left out of a file, its scene and its nodes without a mesh.
-
-    Parameters
-    ----------
-    document : dict
-        The file's JSON.
-    nodes : iterable of Node
-    """
+    """Yield place and message for each property ignored in a file, its scene and its nodes without a mesh."""
     own = {"extensions": document.get("extensions")}
     scene = _entry(document, "scenes", document.get("scene", 0))
     for place, entry, known in (("the file", own, OF_SCENE), ("its scene", scene, OF_SCENE)):
@@ -78,12 +71,11 @@ def left_out_of_scene(document: dict[str, Any], nodes: Iterable[Node]) -> Iterat
 
 
 def left_out(document: dict[str, Any], node: Node, parts: list[tuple[int, int]]) -> Iterator[str]:
-    """Yield in words what is left out of a node with a mesh.
+    """Yield a message for each property ignored in a node with a mesh.
 
     Parameters
     ----------
     document : dict
-        The file's JSON.
     node : Node
     parts : list of (int, int)
         Mesh and number of its primitives.
@@ -102,7 +94,7 @@ def left_out(document: dict[str, Any], node: Node, parts: list[tuple[int, int]])
 def _of_material(document: dict[str, Any], number: Any) -> Iterator[str]:
     material = _entry(document, "materials", number)
     if only_specular(material) is not None:
-        # In place of the surface that the material does not have.
+        # It replaces the missing metallic-roughness description.
         yield f"materials[{number}]: {SPECULAR_GLOSSINESS} is read without its specular colour and its picture of both"
         extensions = {key: value for key, value in material["extensions"].items() if key != SPECULAR_GLOSSINESS}
         material = material | {"extensions": extensions}
@@ -127,7 +119,7 @@ def _of_texture(document: dict[str, Any], info: dict[str, Any]) -> Iterator[str]
 
 
 def _told(entry: Mapping[str, Any], known: Mapping[str, str]) -> Iterator[str]:
-    """Yield what is said of the properties of an entry, and its extensions by name."""
+    """Yield the messages for the properties of an entry, and its extensions by name."""
     for key, value in entry.items():
         if key == "extensions":
             names = sorted(str(name) for name in _table(value) if name not in _TAKEN)
@@ -137,7 +129,7 @@ def _told(entry: Mapping[str, Any], known: Mapping[str, str]) -> Iterator[str]:
 
 
 def _entry(document: dict[str, Any], key: str, number: Any) -> dict[str, Any]:
-    """Return an entry of one of the document's lists; empty where there is none."""
+    """Return an entry of one of the document's lists; empty if there is none."""
     entries = document.get(key)
     if not isinstance(entries, list) or not isinstance(number, int) or not 0 <= number < len(entries):
         return {}

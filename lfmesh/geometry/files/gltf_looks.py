@@ -1,6 +1,6 @@
-"""Materials of glTF files as their primitives need them: colour, picture and its place, alpha, metal and roughness.
+"""Materials of glTF files: colour, picture and its mapping, alpha, metallic and roughness.
 
-glTF 2.0, section 3.9. Numbers stay as they stand in the file; a factor that rounding has put above 1 is 1.
+glTF 2.0, section 3.9. Values are taken unchanged, except that a factor slightly above 1 due to rounding becomes 1.
 """
 
 import reprlib
@@ -19,27 +19,27 @@ from lfmesh.optics.gltf_material import GltfMaterial
 
 REPEATS = 10497
 WRAPS = {REPEATS: "repeat", 33071: "clamp", 33648: "mirror"}
-"""Continuation of pictures outside 0..1, by glTF's numbers (glTF 2.0, section 5.27)."""
+"""Continuation of pictures outside 0..1, by glTF's codes (glTF 2.0, section 5.27)."""
 
 ALPHA_MODES = ("OPAQUE", "MASK", "BLEND")
 
 ROUNDED = 1.0 + 16.0 * float(np.finfo(np.float32).eps)
-"""Largest factor that counts as 1: exporters calculate colours with float32."""
+"""Largest factor that counts as 1: exporters compute colours in float32."""
 
 SPECULAR_GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
 
 
 class Place(NamedTuple):
-    """Place of a texture's picture on facets.
+    """Mapping of a texture's picture to facets.
 
     Attributes
     ----------
     wrap : (str, str)
-        As `Look.wrap`.
+        See `Look.wrap`.
     uv_set : int
-        Number of the texture coordinates of the picture.
+        Number of the picture's texture coordinates.
     to_picture : (2, 3) float64
-        From these to the place in the picture, counted from its top left.
+        Map from these to the picture, with the origin at its top left.
     """
 
     wrap: tuple[str, str] = REPEAT
@@ -82,12 +82,12 @@ class Looks:
         self._known: dict[int, GltfLook] = {}
 
     def of(self, number: Any) -> GltfLook:
-        """Return the material of a number; a plain one where a primitive names none.
+        """Return the material with a number; a plain one if a primitive has none.
 
         Raises
         ------
         MeshError, ValueError
-            It is not there, or names a picture that cannot be read.
+            It does not exist, or refers to an unreadable picture.
         """
         if number is None:
             return GltfLook(Look(factor=np.ones(4 if self.pictures.alpha else 3)))
@@ -123,7 +123,7 @@ class Looks:
         return GltfLook(look, place, self._opened(gloss, self._coded), self._place("metallicRoughnessTexture", gloss))
 
     def _content(self, info: dict[str, Any]) -> tuple[int, dict[str, Any]] | None:
-        """Return number and entry of the image of a texture; None, which is noted, where an extension holds it."""
+        """Return number and entry of a texture's image; None, with a note, if it is in an extension."""
         textures = entries_of(self.path, self.document, "textures")
         texture = textures[number_below(self.path, "a texture's index", info.get("index"), len(textures))]
         if "source" not in texture:
@@ -154,13 +154,13 @@ class Looks:
         )
         (angle,) = finite_numbers(self.path, "rotation of KHR_texture_transform", [moved.get("rotation", 0.0)], 1)
         cos, sin = np.cos(angle), np.sin(angle)
-        # Counter-clockwise as one looks at the picture, whose rows run down.
+        # Counter-clockwise as seen in the picture, with rows running down.
         linear = np.array([[cos, sin], [-sin, cos]]) * scale
         uv_set = moved.get("texCoord", info.get("texCoord", 0))
         return Place(self._wrap(key, info), uv_set, np.column_stack([linear, offset]))
 
     def _wrap(self, key: str, info: dict[str, Any]) -> tuple[str, str]:
-        """Return what a texture shows outside its picture, across and down."""
+        """Return a texture's continuation outside its picture, across and down."""
         textures, samplers = (entries_of(self.path, self.document, key) for key in ("textures", "samplers"))
         texture = textures[number_below(self.path, f"{key}.index", info.get("index"), len(textures))]
         if (given := texture.get("sampler")) is None:
@@ -177,27 +177,19 @@ class Looks:
 
 
 def only_specular(material: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the specular-glossiness extension of a material that has no other surface; None where it has."""
+    """Return the specular-glossiness extension of a material without a metallic-roughness description, else None."""
     if "pbrMetallicRoughness" in material:
         return None
     return material.get("extensions", {}).get(SPECULAR_GLOSSINESS)
 
 
 def check_material(path: Any, where: str, material: dict[str, Any]) -> None:
-    """Raise on a value of a material that glTF does not allow.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    where : str
-        The material's place in it.
-    material : dict
+    """Raise on an invalid value in a material at the place `where` of a file.
 
     Raises
     ------
     MeshError
-        Naming the value.
+        The message contains the value.
     """
     pbr = material.get("pbrMetallicRoughness", {})
     shares = {f"{key}": pbr.get(key, 1.0) for key in ("metallicFactor", "roughnessFactor")}

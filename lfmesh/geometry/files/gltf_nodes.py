@@ -1,7 +1,7 @@
-"""The node tree of a glTF file: what stands in its scene, where, and the meshes of each object.
+"""The node tree of a glTF file: the nodes of its scene, their transforms, and the meshes of each.
 
-glTF 2.0, section 3.5: nodes form a strict tree; a node's matrix, or its translation, rotation and scale, place it in
-its parent. The facets themselves are read by `gltf_primitives`.
+glTF 2.0, section 3.5: nodes form a strict tree. A node's matrix, or its translation, rotation and scale, places it in
+its parent. `gltf_primitives` reads the facets.
 """
 
 import reprlib
@@ -17,19 +17,19 @@ from lfmesh.errors import MeshError
 from lfmesh.geometry.meshes.mesh import Array
 
 MOST_NODES = 100_000
-"""Of one file."""
+"""Most nodes in a file."""
 
 LONGEST_NAME = 100
-"""Characters of a node's name by which it is called; one with a longer name has its number."""
+"""Most characters of a node's name; nodes with a longer one are known by number."""
 
 TAKEN_EXTENSIONS = ("KHR_lights_punctual", "KHR_texture_transform", "KHR_mesh_quantization")
-"""That a file may require."""
+"""Extensions that a file may require."""
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
-"""Modes of primitives that have facets (glTF 2.0, section 3.7.2.1)."""
+"""Modes of primitives with facets (glTF 2.0, section 3.7.2.1)."""
 
 MODES = {0: "points", 1: "lines", 2: "a line loop", 3: "a line strip"}
-"""Those that have none."""
+"""Modes of primitives without facets."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class Node:
     Attributes
     ----------
     number : int
-        In the file, from 0.
+        Number in the file, from 0.
     name : str or None
-        Its own; None where it has none, or one that another node of the scene has, too.
+        None if it has none, or shares it with another node of the scene.
     to_scene : (4, 4) float64
-        From its frame to the scene's, m.
+        Transform from its frame to the scene's, m.
     entry : dict
-        What the file says of it.
+        JSON of the node.
     """
 
     number: int
@@ -60,17 +60,17 @@ class Node:
 
     @property
     def place(self) -> str:
-        """Place in the file, with the node's name, for messages."""
+        """Place in the file with the node's name, for messages."""
         return f"nodes[{self.number}]" + (f" ({self.name})" if self.name is not None else "")
 
 
 def nodes_of(path: Path, document: dict[str, Any]) -> list[Node]:
-    """Return the nodes that stand in a file's scene, in the order of the file.
+    """Return the nodes of a file's scene, in file order.
 
     Raises
     ------
     MeshError
-        The tree has a loop or a node with two parents, a number names nothing, or a place is none.
+        The tree has a loop or a node with two parents, a number is out of range, or a transform is invalid.
     """
     entries = entries_of(path, document, "nodes")
     if len(entries) > MOST_NODES:
@@ -104,7 +104,7 @@ def nodes_of(path: Path, document: dict[str, Any]) -> list[Node]:
 
 
 def _own_name(entry: dict[str, Any]) -> str | None:
-    """Return the name of a node, where it has one by which it can be called."""
+    """Return the name of a node if it is usable as a key."""
     name = entry.get("name")
     return name if isinstance(name, str) and 0 < len(name) <= LONGEST_NAME and name.isprintable() else None
 
@@ -112,17 +112,10 @@ def _own_name(entry: dict[str, Any]) -> str | None:
 def node_called(path: Path, nodes: Iterable[Node], key: str | int) -> Node:
     """Return the node with a name or number.
 
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    nodes : iterable of Node
-    key : str or int
-
     Raises
     ------
     MeshError
-        There is none in the file's scene.
+        The file's scene has no such node.
     """
     nodes = list(nodes)
     for node in nodes:
@@ -135,18 +128,10 @@ def node_called(path: Path, nodes: Iterable[Node], key: str | int) -> Node:
 def primitives_of(path: Path, document: dict[str, Any], node: Node) -> list[tuple[int, int]]:
     """Return mesh and number of the primitives of a node that have facets.
 
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    document : dict
-        Its JSON.
-    node : Node
-
     Raises
     ------
     MeshError
-        The node names a mesh that is not there.
+        The node's mesh does not exist.
     """
     if "mesh" not in node.entry:
         return []
@@ -160,16 +145,7 @@ def primitives_of(path: Path, document: dict[str, Any], node: Node) -> list[tupl
 
 
 def not_read(path: Path, document: dict[str, Any], node: Node) -> Iterator[str]:
-    """Yield what of a node's mesh has no facets, or facets that cannot be read.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    document : dict
-        Its JSON.
-    node : Node
-    """
+    """Yield a message for each primitive of a node's mesh without readable facets."""
     if "mesh" in node.entry:
         mesh = document["meshes"][node.entry["mesh"]]
         for number, primitive in enumerate(entries_of(path, mesh, "primitives")):
@@ -178,12 +154,12 @@ def not_read(path: Path, document: dict[str, Any], node: Node) -> Iterator[str]:
 
 
 def check_document(path: Path, document: dict[str, Any]) -> None:
-    """Raise if the document is of another version, a part of another kind, or an extension is required but not read.
+    """Raise if the document has another version, a part of the wrong type, or requires an unsupported extension.
 
     Raises
     ------
     MeshError
-        Naming the part.
+        The message names the part.
     """
     asset = document.get("asset")
     version = asset.get("version") if isinstance(asset, dict) else None
@@ -206,7 +182,7 @@ def check_document(path: Path, document: dict[str, Any]) -> None:
                 if key == "extensions":
                     if any(not isinstance(each, dict) for each in item.values()):
                         raise MeshError(f"{path}: broken: {place[-LONGEST_NAME:]} holds one that is no object")
-                    # The keys of others are words of their own.
+                    # Other extensions define their own keys.
                     item = {name: each for name, each in item.items() if name in TAKEN_EXTENSIONS}
                 if key != "extras":
                     waiting.append((place, item))
@@ -242,11 +218,11 @@ _KINDS: dict[str, type] = {
     "mode": int,
     "texCoord": int,
 }
-"""Of the values of keys, wherever they stand."""
+"""Types of the values of keys, wherever they occur."""
 
 
 def _own_matrix(path: Path, number: int, entry: dict[str, Any]) -> Array:
-    """Return the (4, 4) matrix from a node's frame to its parent's."""
+    """Return the matrix (4, 4) from a node's frame to its parent's."""
     where = f"nodes[{number}]"
     if "matrix" in entry:
         matrix = finite_numbers(path, f"{where}.matrix", entry["matrix"], 16).reshape(4, 4).T
@@ -269,22 +245,12 @@ def _own_matrix(path: Path, number: int, entry: dict[str, Any]) -> Array:
 
 
 def finite_numbers(path: Path, where: str, values: Any, count: int) -> Array:
-    """Return numbers of the document.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    where : str
-        Their place in it.
-    values : list
-    count : int
-        How many there must be.
+    """Return a list of `count` numbers, at the place `where` of a file, as an array.
 
     Raises
     ------
     MeshError
-        They are none.
+        They are not that many finite numbers.
     """
     fine = isinstance(values, list | tuple) and len(values) == count
     if fine and all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= 1e15 for v in values):
@@ -293,17 +259,7 @@ def finite_numbers(path: Path, where: str, values: Any, count: int) -> Array:
 
 
 def number_below(path: Path, where: str, value: Any, count: int) -> int:
-    """Return the number of an entry of a list.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    where : str
-        The number's place in it.
-    value : int
-    count : int
-        Entries of the list.
+    """Return the checked index, at the place `where` of a file, into a list of `count` entries.
 
     Raises
     ------
@@ -316,20 +272,12 @@ def number_below(path: Path, where: str, value: Any, count: int) -> int:
 
 
 def entries_of(path: Path, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
-    """Return a list of objects of the document; empty where it has none.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    holder : dict
-        A part of its JSON.
-    key : str
+    """Return the list of objects under a key in part of the document; empty if there is none.
 
     Raises
     ------
     MeshError
-        It is no list of objects.
+        It is not a list of objects.
     """
     entries = holder.get(key, [])
     if isinstance(entries, list) and set(map(type, entries)) <= {dict}:

@@ -1,4 +1,4 @@
-"""Facets of a glTF file's primitives, straight from its accessors (glTF 2.0, section 3.7)."""
+"""Facets of a glTF file's primitives, read from its accessors (glTF 2.0, section 3.7)."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -24,14 +24,12 @@ COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh
 def load_primitives(
     path: Path, document: dict[str, Any], wanted: Iterable[tuple[int, int]], alpha: bool, notes: Notes
 ) -> dict[tuple[int, int], Piece]:  # fmt: skip
-    """Return primitives by mesh and number, in the frame of their node, m; those without facets are left out.
+    """Return primitives by mesh and number, in the frame of their node, m; omit those without facets.
 
     Parameters
     ----------
     path : Path
-        The file, whose buffers and pictures are read.
     document : dict
-        Its JSON.
     wanted : iterable of (int, int)
         Mesh and number of each primitive.
     alpha : bool
@@ -103,7 +101,7 @@ def _piece(where: str, primitive: dict[str, Any], buffers: Buffers, looks: Looks
 
 
 def _faces(where: str, mode: int, corners: Index, notes: Notes) -> Index:
-    """Return the (m, 3) facets of a list, strip or fan (section 3.7.2.1)."""
+    """Return the facets (m, 3) of a list, strip or fan (section 3.7.2.1)."""
     if mode == TRIANGLES:
         notes.count(len(corners) % 3, f"{{}} corners of {where} make no facet")
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)
@@ -117,6 +115,6 @@ def _faces(where: str, mode: int, corners: Index, notes: Notes) -> Index:
 
 
 def _in_picture(uv: Array, to_picture: Array) -> Array:
-    """Return the place in the picture, counted from its bottom left: glTF counts from its top left."""
+    """Return texture coordinates with the origin at the picture's bottom left, from glTF's at the top left."""
     u, v = (to_picture[k, 0] * uv[..., 0] + to_picture[k, 1] * uv[..., 1] + to_picture[k, 2] for k in (0, 1))
     return np.stack([u, 1.0 - v], axis=-1)

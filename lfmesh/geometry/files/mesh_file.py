@@ -1,7 +1,7 @@
 """Meshes from files: STL, OBJ, PLY, OFF, GLB, glTF, STEP and 3MF, in mm, with their colours and vertex normals.
 
-Each format has a reader of its own, which gives pieces in the file's unit and notes each difference between the file
-and its pieces; `cad_file` makes meshes of STEP and 3MF files before. The differences end as warnings.
+Each format has its own reader. It returns pieces in the file's unit and notes each difference between file and pieces;
+the notes become warnings. STEP and 3MF files are first converted to meshes by `cad_file`.
 """
 
 import json
@@ -28,28 +28,28 @@ from lfmesh.regular_file import read_bytes, why_no_file
 from lfmesh.scene.inputs import file_stamp
 
 MM_PER_UNIT = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "foot": 304.8}
-"""Units of length a target may name."""
+"""Units of length for a target."""
 
 UNIT_OF_FORMAT = {".glb": "m", ".gltf": "m"}
 """glTF 2.0, section 3.4: all linear distances are metres."""
 
 FARTHEST_MM = 1e15
-"""Largest coordinate: that of a scene's own numbers."""
+"""Largest coordinate, the same as in a scene file."""
 
 MOST_ENTRIES = 10**9
-"""Of one accessor of a glTF file: more than memory holds, and more than a mesh needs."""
+"""Most entries of a glTF accessor: more than memory holds, and more than a mesh needs."""
 
 DOCUMENTS = 4
-"""glTF files whose JSON is cached, the latest ones asked for."""
+"""Number of glTF files with cached JSON, most recently used."""
 
 GLB_VERSION = 2
-"""Of the container of glTF 2.0 (section 4.4.2)."""
+"""Container version of glTF 2.0 (section 4.4.2)."""
 
 ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
-"""Of files that are read by this process itself."""
+"""Endings of files that this process reads itself."""
 
 NODE_ENDINGS = (*UNIT_OF_FORMAT, *cad_file.ENDINGS)
-"""Of files with bodies that have names."""
+"""Endings of files with named bodies."""
 
 
 def load_mesh(
@@ -66,26 +66,26 @@ def load_mesh(
     path : Path
         STL, OBJ (with MTL), PLY, OFF, GLB, glTF, STEP or 3MF.
     units : str, optional
-        Unit of length, a key of `MM_PER_UNIT`. Needed for STL, OBJ, PLY and OFF. The other formats fix their
-        unit, and naming a different one is an error: a mesh is not rescaled against its own file.
+        Unit of length, a key of `MM_PER_UNIT`. Required for STL, OBJ, PLY and OFF. The other formats fix their unit;
+        giving a different one is an error.
     alpha : bool
         Read the alpha of pictures and colours, too.
     node : str or int, optional
-        Of a GLB or glTF file: the node, by its name or number, whose own mesh alone is read, where the file places it.
-        Of a STEP or 3MF file: the body.
+        In a GLB or glTF file: name or number of the node to read, without its children, placed as in the file's scene.
+        In a STEP or 3MF file: the body.
     tolerance_mm : float, optional
-        Of a STEP file: how far a facet may lie off its surface; omitted, 3e-4 of the size of the largest body.
+        In a STEP file: largest distance of a facet from its surface. Default: 3e-4 of the size of the largest body.
 
     Returns
     -------
     list of Piece
-        One a material and instance, transforms of the file's scene applied, at least one facet in all.
+        One per material and instance, placed as in the file's scene; at least one facet in all.
 
     Raises
     ------
     MeshError
-        The file is missing, of an unknown kind, broken or empty, holds a coordinate that is no number, or its
-        unit is unknown or contradicted.
+        The file is missing, of an unknown format, broken or empty, has a non-finite coordinate, or its unit is unknown
+        or contradicted.
     """
     path = Path(path)
     ending = path.suffix.lower()
@@ -110,7 +110,7 @@ def load_mesh(
     channels = 4 if alpha else 3
     pieces = [_without_colours_beside_picture(piece.with_channels(channels), notes) for piece in pieces]
     for piece in pieces:
-        # Of vertices that no facet has, nothing is asked. The least and the largest of numbers that are none is none.
+        # Check the extremes first, which are NaN if any coordinate is. Vertices without a facet may have any value.
         least, largest = piece.mesh.vertices.min(initial=0.0), piece.mesh.vertices.max(initial=0.0)
         if not (least >= -FARTHEST_MM and largest <= FARTHEST_MM):
             corners = piece.mesh.vertices[piece.mesh.faces]
@@ -126,7 +126,7 @@ def load_mesh(
 
 
 def _without_colours_beside_picture(piece: Piece, notes: Notes) -> Piece:
-    """Return a piece without vertex colours of several colours where a picture has their place."""
+    """Drop vertex colours that vary over a piece with a picture."""
     if piece.picture is not None and piece.colours is not None and (piece.colours != piece.colours[:1, :1]).any():
         notes.count(len(piece.colours), "the vertex colours of {} facets with a picture are left out")
         return replace(piece, colours=None)
@@ -134,9 +134,9 @@ def _without_colours_beside_picture(piece: Piece, notes: Notes) -> Piece:
 
 
 def companions(path: Path) -> list[str]:
-    """Return the other files that a mesh file reads, by their paths from its folder: materials, pictures, buffers.
+    """Return the existing files that a mesh file refers to, relative to its folder: materials, pictures, buffers.
 
-    Only those that are there; a mesh that lacks one is warned of or refused when it is read.
+    Missing files are reported when the mesh is read.
     """
     names: list[str] = []
     ending = path.suffix.lower()
@@ -181,7 +181,7 @@ def _read(path: Path, ending: str, units: str | None, alpha: bool, node: str | i
 def _read_cad(
     path: Path, ending: str, alpha: bool, node: str | int | None, tolerance_mm: float | None, notes: Notes
 ) -> list[Piece]:  # fmt: skip
-    """Return the pieces of a STEP or 3MF file, whose own process has checked it."""
+    """Return the pieces of a STEP or 3MF file, checked by its own process."""
     if ending == ".3mf":
         return cad_file.pieces_of_3mf(path, node, alpha, notes)
     with cad_file.step_as_glb(path, tolerance_mm) as glb:
@@ -196,14 +196,14 @@ def surfaces_of_step(path: Path, node: str | int | None, tolerance_mm: float | N
     ----------
     path : Path
     node : str or int, optional
-        The body; omitted, all.
+        The body. Default: all.
     tolerance_mm : float, optional
-        That its mesh is made with, so that the file is opened once.
+        Same as for its mesh, so that the file is opened once.
 
     Raises
     ------
     MeshError
-        As `load_mesh` does.
+        As for `load_mesh`.
     """
     with cad_file.step_as_glb(path, tolerance_mm) as glb:
         document = cad_file.named_by_body(gltf_document(glb))
@@ -215,14 +215,14 @@ def surfaces_of_step(path: Path, node: str | int | None, tolerance_mm: float | N
 def _placed_nodes(
     path: Path, document: dict[str, Any], nodes: Sequence[Node], key: str | int | None, alpha: bool, notes: Notes
 ) -> list[Piece]:
-    """Return the pieces of a glTF file, or of one of its nodes, mm."""
+    """Return the pieces of a glTF file, or of one of its nodes, in mm."""
     taken = nodes if key is None else [node_called(path, nodes, key)]
     parts = {node.number: primitives_of(path, document, node) for node in taken}
     for node in taken:
         for what in not_read(path, document, node):
             notes.add(f"{node.place}: {what}, without facets that can be read; left out")
         if key is None:
-            # Of a node that a scene names, it was said when the scene was read.
+            # For a node named in a scene, this was reported when the scene was read.
             for words in left_out(document, node, parts[node.number]):
                 notes.add(f"{node.place}: {words}")
     made = load_primitives(path, document, (part for each in parts.values() for part in each), alpha, notes)
@@ -231,7 +231,7 @@ def _placed_nodes(
 
 
 def _agreed(path: Path, own: str | None, units: str | None) -> str:
-    """Return the unit that the file and the user agree on."""
+    """Return the unit on which the file and the user agree."""
     valid = ", ".join(MM_PER_UNIT)
     if units is not None and units not in MM_PER_UNIT:
         raise MeshError(f"{path}: units = {units!r} is not known; valid are {valid}")
@@ -249,12 +249,12 @@ def _shortened(text: str) -> str:
 
 
 def gltf_document(path: Path) -> dict[str, Any]:
-    """Return the JSON of a glTF or GLB file (glTF 2.0, section 4.4: after the header of 12 bytes the first chunk).
+    """Return the JSON of a glTF or GLB file (glTF 2.0, section 4.4: in GLB, the first chunk after the 12-byte header).
 
     Raises
     ------
     MeshError
-        It is broken, names files that are not there, or requires an extension that would go unread.
+        It is broken, refers to missing files, or requires an unsupported extension.
     """
     document = _document(path, file_stamp(path))
     _check_companions(path, document)
@@ -263,7 +263,7 @@ def gltf_document(path: Path) -> dict[str, Any]:
 
 @lru_cache(maxsize=DOCUMENTS)
 def _document(path: Path, _: tuple[object, ...]) -> dict[str, Any]:
-    """Return the JSON of a file, which nobody changes, read once for each stamp: every part of it asks for it."""
+    """Return the JSON of a file, read-only and cached by the file's stamp."""
     ending = path.suffix.lower()
     content = read_bytes(path)
     try:
@@ -286,19 +286,19 @@ def _document(path: Path, _: tuple[object, ...]) -> dict[str, Any]:
 
 @lru_cache(maxsize=DOCUMENTS)
 def _nodes(path: Path, stamp: tuple[object, ...]) -> tuple[Node, ...]:
-    """Return the nodes of a glTF file's scene, found once for each stamp."""
+    """Return the nodes of a glTF file's scene, cached by the file's stamp."""
     return tuple(nodes_of(path, _document(path, stamp)))
 
 
 @lru_cache(maxsize=DOCUMENTS)
 def _nodes_by_key(path: Path, stamp: tuple[object, ...]) -> dict[str | int, Node]:
-    """Return the same nodes by their numbers, and by their names where they have one of their own."""
+    """Return the same nodes by number, and by name if unique."""
     nodes = _nodes(path, stamp)
     return {node.number: node for node in nodes} | {node.name: node for node in nodes if node.name is not None}
 
 
 def _check_companions(path: Path, document: dict[str, Any]) -> None:
-    """Raise on buffers that are not there, and on files that lie elsewhere."""
+    """Raise on missing buffers, and on files outside the folder."""
     for key, kind in (("buffers", "buffer"), ("images", "picture")):
         for entry in _objects(document, key):
             uri = entry.get("uri")
@@ -311,7 +311,7 @@ def _check_companions(path: Path, document: dict[str, Any]) -> None:
 
 
 def _check_gltf(path: Path, document: dict[str, Any]) -> None:
-    """Raise on tables larger than memory, and on wrong materials."""
+    """Raise on tables larger than memory, and on invalid materials."""
     check_document(path, document)
     for accessor in _objects(document, "accessors"):
         count = accessor.get("count")

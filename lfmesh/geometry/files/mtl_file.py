@@ -1,7 +1,7 @@
 """Material files of OBJ files: colour, opacity and picture of each material.
 
-Wavefront's format has no standard body. Read is what its description says ("MTL material format", Wavefront, 1995):
-`Kd` with one number is grey, and the options of `map_Kd` stand before the file's name.
+Wavefront's format has no standard body. The reader follows its description ("MTL material format", Wavefront, 1995):
+`Kd` with one number is grey, and the options of `map_Kd` precede the file name.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ OPTIONS = {
     **dict.fromkeys(("-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-texres", "-imfchan", "-type"), 1),
     "-mm": 2,
 }
-"""Options of a picture and how many words follow each. After -o, -s and -t stand one to three numbers."""
+"""Options of a picture, and the number of words that follow each. One to three numbers follow -o, -s and -t."""
 PLACES = ("-o", "-s", "-t")
 WITHOUT_EFFECT = ("-blendu", "-blendv", "-boost", "-texres", "-imfchan", "-type", "-bm")
-"""They concern filtering, or pictures of heights and single channels."""
+"""Options that concern filtering, or pictures of heights and single channels."""
 
 MAPS = ("map_", "bump", "norm", "disp", "decal", "refl")
-"""Beginnings of keys that name a picture."""
+"""Prefixes of keys for pictures."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class Map:
     Attributes
     ----------
     names : tuple of str
-        Files that may be meant, relative to the OBJ file's folder.
+        Possible files, relative to the OBJ file's folder.
     offset, scale : (float, float)
-        Place in the picture: scale times the file's place, plus the offset.
+        Place in the picture: scale times texture coordinate, plus offset.
     clamped : bool
-        Whether its edge goes on outside it.
+        True if its edge continues outside.
     """
 
     names: tuple[str, ...]
@@ -53,7 +53,7 @@ class MtlMaterial:
     Attributes
     ----------
     name : str
-        As the file writes it, a comment after it included.
+        As written in the file, including a trailing comment.
     colour : (3,) float64
         Linear.
     opacity : float
@@ -67,7 +67,7 @@ class MtlMaterial:
 
 
 def without_comment(text: str) -> str:
-    """Return a value without the comment after it."""
+    """Return a value without a trailing comment."""
     return text.partition("#")[0].strip()
 
 
@@ -77,15 +77,15 @@ def read(text: str, folder: str, notes: Notes) -> list[MtlMaterial]:
     Parameters
     ----------
     text : str
-        Its content.
+        Content of the file.
     folder : str
-        Where it lies, relative to the OBJ file's folder; "" beside it.
+        Its folder, relative to the OBJ file's; "" if the same.
     notes : Notes
 
     Raises
     ------
     ValueError
-        A value is no number.
+        A value is not a number.
     """
     made: list[MtlMaterial] = []
     for line in text.splitlines():
@@ -146,7 +146,7 @@ def _finite(value: str, called: str, key: str) -> Array:
 
 
 def _map(value: str, folder: str, called: str, notes: Notes) -> Map | None:
-    """Return the picture that a line names after its options."""
+    """Return the picture in a line, after its options."""
     words = value.split()
     at = 0
     place: dict[str, tuple[float, float]] = {}
@@ -179,7 +179,7 @@ def _map(value: str, folder: str, called: str, notes: Notes) -> Map | None:
 
 
 def _beside(name: str, folder: str) -> list[str]:
-    """Return where a file may lie that a material file names: beside it, or beside the OBJ file."""
+    """Return the possible places of a file named in a material file: beside it, or beside the OBJ file."""
     name = name.replace("\\", "/").strip("\"' ")
     if not name:
         return []

@@ -1,7 +1,7 @@
-"""OBJ files with their material files: facets by material, with places in pictures, normals and vertex colours.
+"""OBJ files with their material files: facets by material, with texture coordinates, normals and vertex colours.
 
-Facets count vertices from 1, or back from the last one that stands before them. Where a facet names a texture
-coordinate or a normal that is not there, it has none.
+Facets count vertices from 1, or backwards from the last preceding one. A texture coordinate or normal that does not
+exist is dropped from the facet.
 """
 
 import re
@@ -26,24 +26,24 @@ from lfmesh.regular_file import read_text
 from lfmesh.scene.inputs import STAMPED_FILES, file_stamp
 
 KINDS = {"v": "vertex", "vt": "texture coordinate", "vn": "normal"}
-"""Names of what the numbers of a corner count, by the key of their lines."""
+"""Names of the quantities that the numbers of a corner refer to, by line key."""
 
 _CODES = {
     key: number for number, key in enumerate((*KINDS, "f", "fo", "usemtl", "mtllib", "l", "p", "curv", "surf"), 1)
 }
-"""Numbers of the keys of lines that are looked at."""
+"""Numbers of the line keys that are read."""
 
 LEFT_OUT = {"l": "lines", "p": "points", "curv": "free-form curves", "surf": "free-form surfaces"}
-"""Names of what is not read, by the key of its lines."""
+"""Names of ignored elements, by line key."""
 
 NO_PLACE = "{} facets have no place in their picture: they have their plain colour"
 
 _NONE = -(2**62)
-"""Index of a texture coordinate or normal that a corner does not have."""
+"""Index of a missing texture coordinate or normal."""
 
 
 def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
-    """Return the pieces of an OBJ file in its own unit, one a material, in the order of their first use.
+    """Return the pieces of an OBJ file in its own unit, one per material, in the order of first use.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
     Raises
     ------
     MeshError
-        A facet names a vertex that is not there, or a file that is named lies elsewhere.
+        A facet refers to a missing vertex, or a file is outside the folder.
     ValueError
         The file is broken otherwise.
     """
@@ -83,7 +83,7 @@ def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
 
 
 def companions(path: Path) -> list[str]:
-    """Return the names of the files of materials and pictures that an OBJ file names, relative to its folder."""
+    """Return the material and picture files that an OBJ file refers to, relative to its folder."""
     notes = Notes()
     try:
         materials = _Materials.read(path, list(_library_lines(path, file_stamp(path))), notes)
@@ -95,22 +95,22 @@ def companions(path: Path) -> list[str]:
 
 @lru_cache(maxsize=STAMPED_FILES)
 def _library_lines(path: Path, _: tuple[object, ...]) -> tuple[str, ...]:
-    """Return what a file's mtllib lines say, read once for each stamp: every build and render asks for it."""
+    """Return the contents of a file's mtllib lines, cached by the file's stamp: every build and render needs them."""
     return tuple(_Obj(path, _lines(path)).values("mtllib"))
 
 
 def _lines(path: Path) -> list[str]:
     text = read_text(path, errors="replace").replace("\r\n", "\n").replace("\r", "\n").replace("\t", " ")
-    # A line that ends in a backslash goes on in the next one.
+    # A line that ends in a backslash continues on the next one.
     text = re.sub(r"\\ *\n", " ", text) if "\\" in text else text
     return [line.strip() for line in text.split("\n")]
 
 
 @dataclass
 class _Facets:
-    """Facets of an OBJ file: the numbers of their corners in the file's tables, from 0, and how many corners each has.
+    """Facets of an OBJ file: indices of their corners in the file's tables, from 0, and number of corners of each.
 
-    `_NONE` stands for a texture coordinate or normal that is not given.
+    `_NONE` stands for a missing texture coordinate or normal.
     """
 
     corners: Index  # (k, 3)
@@ -155,9 +155,9 @@ class _Materials:
         return made
 
     def called(self, name: str, notes: Notes) -> MtlMaterial | None:
-        """Return the material that a usemtl line names; None, which is noted, where there is none.
+        """Return the material named in a usemtl line; None, with a note, if there is none.
 
-        A name may hold a "#", and a comment may follow it: the name as it stands is looked for first.
+        A name may contain "#" and may be followed by a comment, so the full text is tried first.
         """
         if not name:
             return None
@@ -174,7 +174,7 @@ class _Materials:
 
 
 def _library_names(path: Path, line: str) -> list[list[str]]:
-    """Return the names that each material file of an mtllib line may have: one with spaces in it, or several."""
+    """Return the possible names of each material file in an mtllib line: one name with spaces, or several."""
     whole = [each.replace("\\", "/") for each in dict.fromkeys((line, without_comment(line))) if each]
     if any("\0" not in name and (path.parent / name).is_file() for name in whole) or len(whole[-1].split()) == 1:
         return [whole]
@@ -190,40 +190,40 @@ class _Obj:
 
     @cached_property
     def codes(self) -> NDArray[np.int8]:
-        """Number of each line's key; 0 of others."""
+        """Number of each line's key; 0 for others."""
         of = _CODES.get
         return np.fromiter((of(line.partition(" ")[0], 0) for line in self.lines), np.int8, len(self.lines))
 
     def numbers(self, key: str) -> Index:
-        """Return the numbers of the lines with a key, from 0."""
+        """Return the indices of the lines with a key."""
         return np.flatnonzero(self.codes == _CODES[key])
 
     def values(self, key: str) -> list[str]:
-        """Return what stands behind a key."""
+        """Return the text after a key in each of its lines."""
         return [self.lines[number][len(key) :].strip() for number in self.numbers(key).tolist()]
 
     @cached_property
     def tables(self) -> dict[str, Array]:
-        """Numbers of vertices (n, 3 and more), texture coordinates (n, 2), and normals (n, 3)."""
+        """Numbers of vertices (n, 3 or more), texture coordinates (n, 2), and normals (n, 3)."""
         made = {}
         for key, least in (("v", 3), ("vt", 1), ("vn", 3)):
             rows = _without_comments(self.values(key))
             made[key], counts = table(rows, least)
             if key == "vt":
-                # A picture may have one dimension alone.
+                # A picture may be one-dimensional.
                 made[key] = np.column_stack([made[key], np.zeros(len(rows))])[:, :2]
                 made[key][counts == 1, 1] = 0.0
         return made
 
     def stretches(self) -> list[tuple[str, Index]]:
-        """Return name of the material and numbers of the lines of facets of each stretch with one material."""
+        """Return the material and the facet lines of each stretch with one material."""
         marks = self.numbers("usemtl")
         facets = np.flatnonzero((self.codes == _CODES["f"]) | (self.codes == _CODES["fo"]))
         parts = np.split(facets, np.searchsorted(facets, marks))
         return [each for each in zip(["", *self.values("usemtl")], parts, strict=True) if len(each[1])]
 
     def colours(self, notes: Notes) -> Array | None:
-        """Return the (n, 3) colours that stand behind the vertices' coordinates, where they do."""
+        """Return the colours (n, 3) that follow the vertices' coordinates, if any."""
         vertices = self.tables["v"]
         if vertices.shape[1] < 6:
             return None
@@ -235,7 +235,7 @@ class _Obj:
         return np.where(known[:, None], given, 1.0)
 
     def facets(self, lines: Index) -> _Facets:
-        """Return the facets that stand on some lines."""
+        """Return the facets on some lines."""
         rows = _without_comments([self.lines[number].partition(" ")[2] for number in lines.tolist()])
         counts = np.fromiter((len(row.split()) for row in rows), np.int64, len(rows))
         corners = _corners("\n".join(rows), int(counts.sum()))
@@ -244,7 +244,7 @@ class _Obj:
             for column, key in enumerate(KINDS):
                 before = np.repeat(np.searchsorted(self.numbers(key), lines), counts)
                 back = relative[:, column]
-                # What is counted back too far stays below 0.
+                # An index too far back stays below 0.
                 corners[back, column] += before[back] + 1
         given = corners != _NONE
         corners[given] -= 1
@@ -252,7 +252,7 @@ class _Obj:
         return _Facets(corners, counts)
 
     def _check_vertices(self, vertex: Index, counts: Index, lines: Index, rows: list[str]) -> None:
-        """Raise at the first facet that names a vertex that the file does not have."""
+        """Raise at the first facet with a missing vertex."""
         count = len(self.tables["v"])
         wrong = (vertex < 0) | (vertex >= count)
         if not wrong.any():
@@ -269,7 +269,7 @@ def _without_comments(rows: list[str]) -> list[str]:
 
 
 def _corners(text: str, count: int) -> Index:
-    """Return the (count, 3) numbers of corners such as 3, 3/1, 3//2 and 3/1/2, `_NONE` where one is not given."""
+    """Return the indices (count, 3) of corners such as 3, 3/1, 3//2 and 3/1/2, with `_NONE` for missing ones."""
     made = np.full((count, 3), _NONE)
     if "/" not in text:
         made[:, 0] = numbers(text, np.int64)
@@ -287,12 +287,12 @@ def _corners(text: str, count: int) -> Index:
 
 
 def _take_back(facets: _Facets, column: int, count: int) -> int:
-    """Take from facets texture coordinates or normals that are not there, or not at all corners.
+    """Drop texture coordinates or normals from facets if any corner's is missing or does not exist.
 
     Returns
     -------
     int
-        How many facets name one that is not there.
+        Number of facets that refer to one that does not exist.
     """
     corner = facets.corners[:, column]
     given = corner != _NONE
@@ -307,7 +307,7 @@ def _take_back(facets: _Facets, column: int, count: int) -> int:
 def _pieces(
     obj: _Obj, facets: _Facets, material: MtlMaterial | None, pictures: Pictures, colours: Array | None
 ) -> list[Piece]:  # fmt: skip
-    """Return the pieces of facets with one material: apart those with and without texture coordinates and normals."""
+    """Return the pieces of facets with one material, separated by having texture coordinates and normals or not."""
     vertices = np.ascontiguousarray(obj.tables["v"][:, :3])
     done = cut(vertices, facets.corners[:, 0], facets.counts)
     pictures.notes.count(done.short, done.in_words)
@@ -340,7 +340,7 @@ def _pieces(
 
 
 def _used(corners: Index, count: int) -> tuple[Index, Index]:
-    """Return which of so many vertices some corners use, ascending, and the corners' numbers among them."""
+    """Return the vertices used by some corners, ascending, and the corners' indices among them."""
     if corners.size * 8 < count:
         used, numbers = np.unique(corners, return_inverse=True)
         return used, numbers.reshape(corners.shape)

@@ -1,4 +1,4 @@
-"""OFF files in text: polygons, with normals, places in pictures and colours of vertices, and colours of facets."""
+"""OFF text files: polygons, with normals, texture coordinates and colours of vertices, and colours of facets."""
 
 import re
 from pathlib import Path
@@ -18,15 +18,10 @@ _HEADER = re.compile(r"\s*(ST)?(C)?(N)?(4)?(n)?OFF", re.IGNORECASE)
 def read(path: Path, notes: Notes) -> list[Piece]:
     """Return the facets of an OFF file in its own unit, as one piece.
 
-    Parameters
-    ----------
-    path : Path
-    notes : Notes
-
     Raises
     ------
     MeshError
-        The file is cut short, or its header counts no facets.
+        The file is truncated, or its header has no facet count.
     ValueError
         It is broken otherwise.
     """
@@ -58,7 +53,7 @@ def read(path: Path, notes: Notes) -> list[Piece]:
 
 
 def _by_count(path: Path, words: list[str], vertices: int, facets: int) -> list[str]:
-    """Return the rows of vertices and facets of a file whose lines are not one each."""
+    """Return the rows of vertices and facets of a file that does not have one per line."""
     rows = [" ".join(words[3 * k : 3 * k + 3]) for k in range(min(vertices, len(words) // 3))]
     at = 3 * vertices
     while at < len(words) and len(rows) < vertices + facets:
@@ -74,7 +69,7 @@ def _by_count(path: Path, words: list[str], vertices: int, facets: int) -> list[
 
 
 def _piece(path: Path, values: Array, rows: list[str], kinds: tuple[str | None, ...], notes: Notes) -> list[Piece]:
-    """Return the piece of the numbers of vertices and the rows of facets."""
+    """Return the piece made from the vertices' numbers and the facets' rows."""
     places, coloured, normals = kinds[:3]
     given = np.fromiter((len(row.split()) for row in rows), np.int64, len(rows))
     flat = numbers("\n".join(rows))
@@ -90,7 +85,7 @@ def _piece(path: Path, values: Array, rows: list[str], kinds: tuple[str | None, 
     triangles, polygon, short = done = cut(values[:, :3], corners, counts)
     notes.count(short, done.in_words)
     faces = corners[triangles]
-    # Vertices have their normal, then their colour, then their place in a picture.
+    # Each vertex has its normal, then its colour, then its texture coordinates.
     normal = values[:, 3:6][faces] if normals and values.shape[1] >= 6 else None
     at = 6 if normals else 3
     colours = None
@@ -105,18 +100,18 @@ def _piece(path: Path, values: Array, rows: list[str], kinds: tuple[str | None, 
 
 
 def check_corners(corners: Index, count: int) -> None:
-    """Raise if a facet names a vertex that is not there.
+    """Raise if a facet refers to a missing vertex.
 
     Parameters
     ----------
     corners : (k,) int64
     count : int
-        Of vertices.
+        Number of vertices.
 
     Raises
     ------
     ValueError
-        Naming the vertex.
+        The message gives the vertex.
     """
     if len(corners) and not 0 <= corners.min() <= corners.max() < count:
         wrong = corners.min() if corners.min() < 0 else corners.max()
@@ -124,7 +119,7 @@ def check_corners(corners: Index, count: int) -> None:
 
 
 def _colours(given: Array, what: str, notes: Notes) -> Array | None:
-    """Return colours as numbers from 0 to 1; whole numbers above 1 are bytes."""
+    """Return colours from 0 to 1; integers above 1 are bytes."""
     known = np.asarray(np.isfinite(given).all(axis=1))
     values = np.where(known[:, None], given, 1.0)
     if (values > 1.0).any() and (values == np.round(values)).all():
@@ -136,7 +131,7 @@ def _colours(given: Array, what: str, notes: Notes) -> Array | None:
 
 
 def _colours_of_facets(flat: Array, starts: Index, counts: Index, given: Index, notes: Notes) -> Array | None:
-    """Return the colours that stand behind the corners of facets, (p, 3); white where one has none."""
+    """Return the colours that follow the corners of facets, (p, 3); white for facets without one."""
     behind = given - counts - 1
     notes.count(int((behind == 1).sum()), "the colours of {} facets are left out: they are numbers of an own table")
     those = np.flatnonzero(behind >= 3)

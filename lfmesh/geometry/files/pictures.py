@@ -1,4 +1,4 @@
-"""Pictures that mesh files name or hold, as linear light, each opened once a file."""
+"""Pictures in or beside mesh files, as linear light, each opened once per file."""
 
 import io
 from pathlib import Path
@@ -22,7 +22,7 @@ from lfmesh.regular_file import read_bytes
 
 
 class Pictures:
-    """The pictures of one mesh file, so that pieces that share a picture share it in memory, too.
+    """The pictures of one mesh file; pieces with the same picture share its memory.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Pictures:
         Read their alpha, too.
     notes : Notes
     transfer : function
-        From codes, 0..1, to the values of the texture.
+        From codes, 0..1, to texture values.
     """
 
     def __init__(self, path: Path, alpha: bool, notes: Notes, transfer: Transfer = srgb_to_linear) -> None:
@@ -40,19 +40,19 @@ class Pictures:
         self._known: dict[object, Texture | None] = {}
 
     def of_file(self, names: list[str]) -> Texture | None:
-        """Return the picture in the first file that is there; None, which is noted, where none is.
+        """Return the picture in the first existing file; None, with a note, if there is none.
 
         Parameters
         ----------
         names : list of str
-            Files that may be meant, relative to the mesh file's folder.
+            Possible files, relative to the mesh file's folder.
 
         Raises
         ------
         MeshError
-            The file lies outside the mesh's folder.
+            The file is outside the mesh's folder.
         ValueError
-            It is no picture that can be read.
+            It is not a readable picture.
         """
         name = companion_name(self.path, names, "picture")
         if name is None:
@@ -63,18 +63,18 @@ class Pictures:
         return self._known[name]
 
     def of_bytes(self, key: object, content: bytes) -> Texture | None:
-        """Return a picture that stands in the mesh file itself.
+        """Return a picture embedded in the mesh file.
 
         Parameters
         ----------
         key : object
-            By which it is known again.
+            Key for the cache.
         content : bytes
 
         Raises
         ------
         ValueError
-            It is no picture that can be read.
+            It is not a readable picture.
         """
         if key not in self._known:
             self._known[key] = self._read(content, "")
@@ -96,7 +96,7 @@ class Pictures:
 
 
 def companion_name(path: Path, names: list[str], kind: str) -> str | None:
-    """Return the first of some names by which a file stands beside a mesh file or below; None where none does.
+    """Return the first of some names that exists beside a mesh file or below; None if none does.
 
     Parameters
     ----------
@@ -104,12 +104,12 @@ def companion_name(path: Path, names: list[str], kind: str) -> str | None:
         The mesh file.
     names : list of str
     kind : str
-        Of the other file, in messages.
+        Kind of the other file in messages.
 
     Raises
     ------
     MeshError
-        One lies elsewhere, or is no regular file.
+        One is elsewhere, or not a regular file.
     """
     for name in names:
         check_companion(path, name, kind)

@@ -1,4 +1,4 @@
-"""A part of a mesh file with one material, and what its reader says of the file."""
+"""A part of a mesh file with one material, and the notes of its reader."""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -18,11 +18,11 @@ class GlossPicture(NamedTuple):
     Attributes
     ----------
     picture : (h, w, 3) float32
-        As coded, 0..1: the factors of roughness in its second channel, of metallic in its third.
+        As coded, 0..1: factors of roughness in the second channel, of metallic in the third.
     uv : (m, 3, 2) float64
-        As `Piece.uv`.
+        See `Piece.uv`.
     wrap : tuple of str
-        As `Look.wrap`.
+        See `Look.wrap`.
     """
 
     picture: Texture
@@ -32,22 +32,22 @@ class GlossPicture(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """Colours and material that a mesh file gives facets.
+    """Colours and material of facets in a mesh file.
 
     Attributes
     ----------
     picture : (h, w, 3) float32 or None
         Base colour texture, linear light; (h, w, 4) with its alpha.
     factor : (3,) float64
-        Base colour, linear, that multiplies the picture; (4,) with its alpha.
+        Linear base colour that multiplies the picture; (4,) with its alpha.
     material : GltfMaterial or None
-        What else a glTF file says of the surface.
+        Other properties of the surface in a glTF file.
     alpha_mode : str
-        "OPAQUE": the alpha does not count; "MASK": the surface is there where it is at least `alpha_cutoff`; "BLEND":
-        it is the surface's opacity.
+        "OPAQUE": alpha is ignored; "MASK": the surface exists where alpha is at least `alpha_cutoff`; "BLEND": alpha is
+        the opacity.
     wrap : tuple of str
-        Across and down, what the picture shows outside 0..1: "repeat", "mirror" (every other repeat is mirrored) or
-        "clamp" (its edge goes on).
+        Continuation of the picture outside 0..1, across and down: "repeat", "mirror" (every other repeat is mirrored)
+        or "clamp" (its edge continues).
     """
 
     picture: Texture | None = None
@@ -65,16 +65,17 @@ class Piece(Look):
     Attributes
     ----------
     mesh : Mesh
-        In the file's frame, mm; with corner normals only where the file itself gives them (OBJ, PLY, OFF, GLB), of
-        whatever length and sense it gives.
+        In the file's frame, mm. It has corner normals only if the file has them (OBJ, PLY, OFF, GLB), with the file's
+        length and sense.
     uv : (m, 3, 2) float64 or None
-        Place in the picture of each facet's corners; (0, 0) is its bottom left; `wrap` tells what lies outside 0..1.
+        Texture coordinates of each facet's corners. (0, 0) is the bottom left of the picture; see `wrap` for values
+        outside 0..1.
     gloss : GlossPicture or None
         Multiplies metallic and roughness of `material`.
     colours : (m, 3, 3) float64 or None
-        Colours at each facet's corners, linear, that multiply the factor; (m, 3, 4) with their alpha.
+        Linear colours at each facet's corners that multiply the factor; (m, 3, 4) with their alpha.
     called : str
-        The material in the file; "" where it has none.
+        The material in the file; "" if it has none.
     """
 
     mesh: Mesh
@@ -84,7 +85,7 @@ class Piece(Look):
     called: str = ""
 
     def placed(self, transform: Array, scale: float) -> "Piece":
-        """Return the piece where its file's scene places it, in mm.
+        """Return the piece placed as in its file's scene, in mm.
 
         Parameters
         ----------
@@ -96,12 +97,12 @@ class Piece(Look):
         vertices, faces, normals = self.mesh.vertices, self.mesh.faces, self.mesh.corner_normals
         linear = transform[:3, :3]
         if not np.array_equal(transform, np.eye(4)):
-            # Coordinate by coordinate: a matrix product may round equal vertices differently and open their seam.
+            # By coordinates: a matrix product may round equal vertices differently and open their seam.
             with np.errstate(invalid="ignore", over="ignore"):
                 vertices = transform[:3, 3] + sum(vertices[:, [k]] * transform[:3, k] for k in range(3))
             if normals is not None and not np.array_equal(linear, np.eye(3)):
-                # Normals stand square to what the transform makes of the tangents: the cofactors carry them, but for
-                # their length. A mirror turns the cofactors' sense, and leaves the outside of the body outside.
+                # The cofactors keep normals perpendicular to the transformed tangents, but not their length. A
+                # reflection reverses the cofactors, while the outside of the body stays outside.
                 cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
                 with np.errstate(invalid="ignore", over="ignore"):
                     normals = np.copysign(1.0, np.linalg.det(linear)) * normals @ cofactors.T
@@ -109,31 +110,25 @@ class Piece(Look):
         return made.turned() if np.linalg.det(linear) < 0.0 else made
 
     def with_channels(self, channels: int) -> "Piece":
-        """Return the piece with colours of so many channels: with the alpha or without it, opaque where it has none.
-
-        Parameters
-        ----------
-        channels : int
-            3 or 4.
-        """
+        """Return the piece with 3 colour channels, or 4 with alpha; missing alpha is opaque."""
         colours = self.colours
         if colours is not None and colours.shape[2] != channels:
             colours = np.concatenate([colours, np.ones((*colours.shape[:2], 1))], axis=2)[..., :channels]
         return replace(self, factor=np.append(self.factor, 1.0)[:channels], colours=colours)
 
     def turned(self) -> "Piece":
-        """Return the piece with the corners of each facet in the opposite order; its normals stay as they are."""
+        """Return the piece with the corners of each facet in the opposite order; its normals stay unchanged."""
         mesh = self.mesh
         normals = mesh.corner_normals[:, ::-1] if mesh.corner_normals is not None else None
         return self.with_mesh_turned(Mesh(mesh.vertices, mesh.faces[:, ::-1], normals))
 
     def with_mesh_turned(self, mesh: Mesh) -> "Piece":
-        """Return the piece on its mesh with the corners of each facet in the opposite order.
+        """Return the piece on a mesh with reversed facets.
 
         Parameters
         ----------
         mesh : Mesh
-            In that order.
+            Its own mesh, with the corners of each facet in the opposite order.
         """
         return replace(
             self,
@@ -146,22 +141,22 @@ class Piece(Look):
 
 @dataclass
 class Notes:
-    """Differences between a mesh file and its pieces, in words, each said once, in the order of reading."""
+    """Differences between a mesh file and its pieces, in words, without repetition, in reading order."""
 
     texts: dict[str, None] = field(default_factory=dict)
 
     def add(self, text: str) -> None:
-        """Enter a difference: a clause that follows the file's name."""
+        """Add a difference: a clause that follows the file's name."""
         self.texts[text] = None
 
     def count(self, number: int, text: str) -> None:
-        """Enter a difference that so many things have; nothing where none has it.
+        """Add a difference with the number of things that have it; nothing if 0.
 
         Parameters
         ----------
         number : int
         text : str
-            With `{}` in place of the number.
+            With `{}` for the number.
         """
         if number:
             self.add(text.format(f"{number:,}"))

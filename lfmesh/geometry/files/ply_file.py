@@ -1,6 +1,6 @@
-"""PLY files, text and binary: polygons and strips of triangles, with what vertices and facets have.
+"""PLY files, text and binary: polygons and triangle strips, with the properties of vertices and facets.
 
-Read is "The PLY Polygon File Format" (Turk, 1994) with the names of properties that programs have agreed on since.
+The reader follows "The PLY Polygon File Format" (Turk, 1994) and the property names that programs have adopted since.
 """
 
 import re
@@ -39,14 +39,14 @@ ALPHAS = ("alpha", "a", "diffuse_alpha")
 """Names of properties that belong together."""
 
 MOST_ENTRIES = 2**31
-"""Rows of an element, and of all numbers in a list."""
+"""Most rows of an element, and most numbers in a list."""
 
 _END = re.compile(rb"^end_header[ \t]*\r?\n|^end_header[ \t]*\r", re.MULTILINE)
 
 
 @dataclass
 class Element:
-    """An element of a PLY file: its rows, and its properties, each a kind or, of a list, two kinds."""
+    """An element of a PLY file: its rows, and its properties, each with one number type, or two for a list."""
 
     name: str
     count: int
@@ -55,7 +55,7 @@ class Element:
 
 @dataclass
 class Rows:
-    """Numbers of an element: of plain properties (n,), of lists all numbers, and how many each row has."""
+    """Numbers of an element: (n,) per plain property; per list property, all numbers and the length of each row."""
 
     plain: dict[str, Array]
     lists: dict[str, tuple[Array, Index]]
@@ -101,7 +101,7 @@ def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
     for element in elements:
         rows[element.name], body.at = body.rows(element)
     if order == "" and body.at != len(body.raw):
-        # Programs write rows longer than their header says: the lines tell where each row begins.
+        # Some programs write rows longer than the header says; line breaks then separate the rows.
         notes.add("its rows have more numbers than its header names: the last ones of each are left out")
         body = _Body(numbers(_cut_to_header(content[end.end() :], elements)).view(np.uint8), "", 0)
         for element in elements:
@@ -124,13 +124,13 @@ def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
 
 
 def pictures_of(path: Path) -> list[str]:
-    """Return the names of the pictures that a PLY file's header names, relative to its folder."""
+    """Return the pictures in a PLY file's header, relative to its folder."""
     return list(_pictures(path, file_stamp(path)))
 
 
 @lru_cache(maxsize=STAMPED_FILES)
 def _pictures(path: Path, _: tuple[object, ...]) -> tuple[str, ...]:
-    """Return these names, read once for each stamp: every build and render asks for them."""
+    """Return these names, cached by the file's stamp: every build and render needs them."""
     content = without_mark(read_bytes(path))
     end = _END.search(content)
     try:
@@ -140,7 +140,7 @@ def _pictures(path: Path, _: tuple[object, ...]) -> tuple[str, ...]:
 
 
 def _header(text: str) -> tuple[str, list[Element], list[str]]:
-    """Return the order of bytes, "" for text, the elements, and the pictures that comments name."""
+    """Return the byte order ("" for text), the elements, and the pictures named in comments."""
     order: str | None = None
     elements: list[Element] = []
     pictures: list[str] = []
@@ -175,25 +175,25 @@ class _Body:
     ----------
     raw : (n,) uint8
     order : str
-        Of the bytes, as numpy names it; "" for text, whose numbers are all float64 here.
+        Byte order in numpy's notation; "" for text, with all numbers as float64 here.
     at : int
-        Where the next element begins.
+        Start of the next element.
     """
 
     def __init__(self, raw: NDArray[np.uint8], order: str, at: int) -> None:
         self.raw, self.order, self.at = raw, order, at
 
     def kind(self, name: str) -> np.dtype:
-        """Return the kind of number that stands in the file for one that the header names."""
+        """Return the stored number type for one in the header."""
         return np.dtype(f"{self.order}{name}") if self.order else np.dtype(np.float64)
 
     def rows(self, element: Element) -> tuple[Rows, int]:
-        """Return the numbers of an element that begins here, and where it ends."""
+        """Return the numbers of the element that starts here, and its end."""
         kinds = {key: tuple(self.kind(each) for each in names) for key, names in element.properties.items()}
         if not element.count or not kinds:
             return Rows.empty(kinds), self.at
         lengths = self._lengths_of_first(element, kinds)
-        # Most files have lists of one length alone: all rows are of one size.
+        # In most files all lists have one length, so that all rows have one size.
         table = self._table(element, kinds, lengths)
         if table is None:
             return self._uneven(element, kinds)
@@ -210,7 +210,7 @@ class _Body:
     def _table(
         self, element: Element, kinds: dict[str, tuple[np.dtype, ...]], lengths: dict[str, int]
     ) -> NDArray[np.void] | None:  # fmt: skip
-        """Return the rows of an element, if all their lists are as long as those of the first."""
+        """Return the rows of an element, if all their lists are as long as in the first row."""
         fields: list[tuple[str, np.dtype] | tuple[str, np.dtype, tuple[int]]] = []
         for key, kind in kinds.items():
             if key in lengths:
@@ -226,7 +226,7 @@ class _Body:
         return table if all((table[f"{key}:"] == length).all() for key, length in lengths.items()) else None
 
     def _uneven(self, element: Element, kinds: dict[str, tuple[np.dtype, ...]]) -> tuple[Rows, int]:
-        """Return the rows of an element whose lists are not of one length, and where it ends."""
+        """Return the rows of an element with lists of different lengths, and its end."""
         starts, lengths, end = self._walk(element, kinds)
         made = Rows({}, {})
         for key, kind in kinds.items():
@@ -239,7 +239,7 @@ class _Body:
         return made, end
 
     def _at(self, places: Index, kind: np.dtype) -> Array:
-        """Return the numbers that begin at some bytes."""
+        """Return the numbers that start at some bytes."""
         found = np.empty((len(places), kind.itemsize), np.uint8)
         for byte in range(kind.itemsize):
             found[:, byte] = self.raw[places + byte]
@@ -248,7 +248,7 @@ class _Body:
     def _walk(
         self, element: Element, kinds: dict[str, tuple[np.dtype, ...]]
     ) -> tuple[dict[str, Index], dict[str, Index], int]:  # fmt: skip
-        """Return where each property of each row begins, how long its lists are, and where the element ends."""
+        """Return the start of each property in each row, the lengths of its lists, and the end of the element."""
         steps = [(key, kind[0], kind[1].itemsize if len(kind) == 2 else 0) for key, kind in kinds.items()]
         starts: dict[str, list[int]] = {key: [] for key in kinds}
         lengths: dict[str, list[int]] = {key: [] for key, _, item in steps if item}
@@ -274,7 +274,7 @@ class _Body:
 
 
 _STRUCT = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
-"""Kinds of numbers by the letters of `struct`."""
+"""Number types by the letters of `struct`."""
 
 
 def _body(content: bytes, at: int, order: str) -> _Body:
@@ -287,7 +287,7 @@ def _body(content: bytes, at: int, order: str) -> _Body:
 
 
 def _cut_to_header(body: bytes, elements: list[Element]) -> bytes:
-    """Return the rows of a text file with the numbers alone that its header names."""
+    """Return the rows of a text file, with only the numbers in its header."""
     lines = [line.split() for line in body.splitlines()]
     lines = [words for words in lines if words and words[0] not in (b"comment", b"obj_info")]
     kept: list[bytes] = []
@@ -311,7 +311,7 @@ def _short(element: Element) -> ValueError:
 def _piece(
     vertices: Array, rows: dict[str, Rows], alpha: bool, elements: dict[str, Element], notes: Notes
 ) -> Piece | None:  # fmt: skip
-    """Return the facets of a PLY file; None where it has none."""
+    """Return the facets of a PLY file; None if it has none."""
     lists = rows["face"].lists if "face" in rows else {}
     plain = rows["vertex"].plain
     key = next((key for key in CORNERS if key in lists), None)
@@ -351,7 +351,7 @@ def _piece(
 
 
 def _of_strips(values: Index, counts: Index, vertices: int) -> Index:
-    """Return the triangles of strips, which a -1 ends, too: every other one is turned."""
+    """Return the triangles of strips, which −1 also ends; every other triangle is reversed."""
     ends = np.zeros(len(values), bool)
     ends[(np.cumsum(counts) - 1)[counts > 0]] = True
     strip = np.concatenate([[0], np.cumsum(ends | (values < 0))[:-1]])
@@ -371,7 +371,7 @@ def _of_strips(values: Index, counts: Index, vertices: int) -> Index:
 
 
 def _colours(plain: dict[str, Array], element: Element, alpha: bool, what: str, notes: Notes) -> Array | None:
-    """Return the colours of an element's rows, 0 to 1; those that are whole numbers are shares of their largest."""
+    """Return the colours of an element's rows, 0 to 1; integers are fractions of their type's maximum."""
     names = next((names for names in COLOURS if set(names) <= set(plain)), None)
     if names is None:
         return None

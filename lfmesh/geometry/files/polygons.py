@@ -1,8 +1,8 @@
-"""Polygons of mesh files, cut into triangles that cover the same area.
+"""Division of polygons in mesh files into triangles with the same area.
 
-A convex polygon becomes a fan. Any other one is cut by its ears (mapbox_earcut), so that a notch stays open. Ears of
-straight corners have no area; their long edges are flipped. A hole that a polygon reaches by a cut through itself, as
-programs write rings, stays a hole.
+A convex polygon becomes a fan. Others are cut by ears (mapbox_earcut), so that notches stay open. Ears at straight
+corners have no area; their long edges are flipped. A hole connected to the outline by a cut, as programs write rings,
+stays a hole.
 """
 
 from typing import NamedTuple
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from lfmesh.geometry.meshes.mesh import Array, Index
 
 STRAIGHT = 2.0**-40
-"""Sine of the angle at a corner below which rounding of the coordinates decides to which side it turns."""
+"""Sine of the angle at a corner below which rounding of the coordinates decides the direction of its turn."""
 
 MOST_CORNERS = 20_000
-"""Of a polygon that is not convex: cutting takes a time that may grow as their square."""
+"""Most corners of a non-convex polygon: the time for cutting may grow as their square."""
 
 
 class Cut(NamedTuple):
@@ -25,11 +25,11 @@ class Cut(NamedTuple):
     Attributes
     ----------
     corners : (m, 3) int64
-        Place of each triangle's corners among the corners of all polygons.
+        Position of each triangle's corners among the corners of all polygons.
     polygon : (m,) int64
-        Polygon that each triangle is cut from, ascending.
+        Polygon of each triangle, ascending.
     short : int
-        Triangles that are fewer than the polygons' corners ask for, as of those that touch or cross themselves.
+        Number of triangles missing because polygons touch or cross themselves.
     """
 
     corners: Index
@@ -38,7 +38,7 @@ class Cut(NamedTuple):
 
     @property
     def in_words(self) -> str:
-        """Words for the triangles that are fewer, with `{}` in place of their number."""
+        """Message about the missing triangles, with `{}` in place of their number."""
         return "its polygons have {} triangles fewer than their corners ask for: some touch or cross themselves"
 
 
@@ -51,12 +51,12 @@ def cut(points: Array, corners: Index, counts: Index) -> Cut:
     corners : (k,) int64
         Point at each corner, polygon after polygon.
     counts : (p,) int64
-        Corners of each polygon; those with fewer than three have no triangles.
+        Corners of each polygon; polygons with fewer than three have no triangles.
 
     Raises
     ------
     ValueError
-        A polygon that is not convex has more than `MOST_CORNERS` corners.
+        A non-convex polygon has more than `MOST_CORNERS` corners.
     """
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]]) if len(counts) else np.zeros(0, np.int64)
     found: list[Index] = []
@@ -88,15 +88,15 @@ def cut(points: Array, corners: Index, counts: Index) -> Cut:
 
 
 def _newell(polygons: Array) -> Array:
-    """Return twice the vector area of polygons, (g, k, 3), each by the normal that Newell's method gives it."""
+    """Return twice the vector area of polygons (g, k, 3) by Newell's method."""
     relative = polygons - polygons[:, :1]
     return np.asarray(np.cross(relative[:, 1:-1], relative[:, 2:]).sum(axis=1))
 
 
 def _convex(polygons: Array) -> NDArray[np.bool_]:
-    """Tell which polygons, (g, k, 3), have corners that all turn one way, so that a fan covers each once.
+    """Tell which polygons (g, k, 3) have corners that all turn one way, so that a fan covers each once.
 
-    One with a corner that is straight to rounding, or with coordinates that are no numbers, counts as not convex.
+    Polygons with a corner that is straight to rounding, or with non-finite coordinates, count as non-convex.
     """
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         normal = _newell(polygons)
@@ -108,13 +108,13 @@ def _convex(polygons: Array) -> NDArray[np.bool_]:
 
 
 def _sines(one: Array, other: Array, normal: Array) -> Array:
-    """Return the sines of the angles between edges (g, k, 3), as seen along normals (g, 3); NaN of no length."""
+    """Return the sines of the angles between edges (g, k, 3), as seen along normals (g, 3); NaN for zero lengths."""
     lengths = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2) * np.linalg.norm(normal, axis=1)[:, None]
     return np.asarray(np.einsum("gki,gi->gk", np.cross(one, other), normal) / lengths)
 
 
 def _ears(polygon: Array) -> NDArray[np.int64]:
-    """Return the triangles, (m, 3), of a polygon (k, 3), in its own sense."""
+    """Return the triangles (m, 3) of a polygon (k, 3), in its own sense."""
     import mapbox_earcut
 
     count = len(polygon)
@@ -127,7 +127,7 @@ def _ears(polygon: Array) -> NDArray[np.int64]:
         normal = _newell(polygon[None])[0]
     if not (np.isfinite(normal).all() and normal.any()):
         return fan
-    # Along the axis that is nearest its normal, the polygon is seen whole, and its coordinates stay as they are.
+    # Project along the axis nearest to the normal, which shows the whole polygon and keeps its coordinates exact.
     axis = int(np.abs(normal).argmax())
     flat = np.ascontiguousarray(polygon[:, [(axis + 1) % 3, (axis + 2) % 3]])
     ears = mapbox_earcut.triangulate_float64(flat, np.array([count], np.uint32)).astype(np.int64).reshape(-1, 3)
@@ -140,7 +140,7 @@ def _ears(polygon: Array) -> NDArray[np.int64]:
 
 
 def _without_slivers(polygon: Array, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return triangles, (m, 3), that cover the same area without straight corners, where that is possible.
+    """Return triangles (m, 3) that cover the same area without straight corners, if possible.
 
     A triangle with a straight corner b lies on its edge from a to c. With the triangle a, c, d on the other side of
     that edge it becomes a, b, d and b, c, d.
@@ -164,7 +164,7 @@ def _without_slivers(polygon: Array, triangles: NDArray[np.int64]) -> NDArray[np
             made[place] = triangle
             owner |= dict.fromkeys(_edges(triangle), place)
             straight[place] = _middle_sines(polygon[[triangle]])[0] <= STRAIGHT
-        # Those that waited for the other side of their own long edge.
+        # Resume triangles that waited for the neighbour across their long edge.
         beside = (owner.get((q, p)) for p, q in ((a, b), (b, c), (c, d), (d, a)))
         waiting += [each for each in beside if each is not None and straight[each]]
     return np.array(made)
@@ -175,7 +175,7 @@ def _edges(triangle: tuple[int, ...]) -> list[tuple[int, int]]:
 
 
 def _middle_sines(triangles: Array) -> Array:
-    """Return the sines of the angles that face the longest edges of triangles, (m, 3, 3); 1 where points coincide."""
+    """Return the sines of the angles opposite the longest edges of triangles (m, 3, 3); 1 if points coincide."""
     edge = np.roll(triangles, -1, axis=1) - triangles
     length = np.sort(np.linalg.norm(edge, axis=2), axis=1)
     twice_area = np.linalg.norm(np.cross(edge[:, 0], edge[:, 1]), axis=1)

@@ -1,7 +1,7 @@
-"""Read the surfaces that a STEP file defines: the program that `cad_file` runs as a process of its own, within limits.
+"""Program that reads the surfaces in a STEP file; `cad_file` runs it as a separate process with resource limits.
 
-It imports nothing of lfmesh, reads the entities of ISO 10303-21 and -42 by itself, and writes JSON: what each surface
-is, in mm. What it does not know, or what is not as the standard has it, it leaves out: nothing is traced as such.
+It imports nothing from lfmesh, parses the entities of ISO 10303-21 and -42 itself, and writes the surfaces as JSON, in
+mm. Unknown or non-standard entities are left out, so that no ray is traced through them.
 """
 
 import json
@@ -13,28 +13,28 @@ from pathlib import Path
 from typing import Any
 
 MOST_READ_BYTES = 2**26
-"""Of a file whose surfaces are read; larger ones are traced by their facets."""
+"""Largest file from which surfaces are read; larger ones are traced by their facets."""
 
 MOST_SURFACES, MOST_POINTS = 20_000, 2_000_000
-"""Surfaces that are read, and the points that their curves and nets have in all."""
+"""Most surfaces read, and most points in all their curves and nets."""
 
 DEEPEST = 8
-"""References within references, of a curve to the one that it is part of; a ring of them ends here."""
+"""Most nested references, from a curve to the one that it is part of; this also ends cycles."""
 
 SMALLEST = 1e-9
-"""Radius or weight: below, nothing is a lens, and squares leave float64's range."""
+"""Smallest radius or weight: nothing smaller is a lens, and squares would leave float64's range."""
 
 LARGEST = 1e9
-"""Number of any kind, for the same reason."""
+"""Largest number of any kind, for the same reason."""
 
 HIGHEST_DEGREE = 25
-"""Of a B-spline."""
+"""Highest degree of a B-spline."""
 
 SI_PREFIXES = {
     ".KILO.": 1e6, ".HECTO.": 1e5, ".DECA.": 1e4, "$": 1e3, ".DECI.": 1e2, ".CENTI.": 10.0, ".MILLI.": 1.0,
     ".MICRO.": 1e-3, ".NANO.": 1e-6,
 }  # fmt: skip
-"""Millimetres in a metre with each prefix."""
+"""Millimetres per metre with each prefix."""
 
 _STRINGS_AND_COMMENTS = re.compile(r"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 _ENTITY = re.compile(r"#\s*(\d+)\s*=([^;]*);")
@@ -46,41 +46,41 @@ _SURFACE = re.compile(
 _TOKEN = re.compile(r"\s*([(),]|[^\s(),]+)")
 
 Tree = Any
-"""An entity's arguments: numbers, references, enumerations as text, and lists of these."""
+"""An entity's arguments: numbers, references and enumerations as text, and lists of these."""
 
 
 class UnreadError(Exception):
-    """An entity is not as the standard has it, or not one of those that are read."""
+    """An entity is non-standard or of an unsupported kind."""
 
 
 class Entities:
-    """The entities of a file, each parsed when it is asked for."""
+    """The entities of a file, each parsed on request."""
 
     def __init__(self, content: str) -> None:
         self.text = {int(found[1]): found[2] for found in _ENTITY.finditer(_STRINGS_AND_COMMENTS.sub("''", content))}
         self.points = 0
 
     def parts(self, reference: Tree) -> dict[str, list[Tree]]:
-        """Return the arguments of an entity by its names: of a simple one it has one name, of a complex one several."""
+        """Return the arguments of an entity by name: a simple entity has one name, a complex one several."""
         if not isinstance(reference, str) or not reference.startswith("#"):
             raise UnreadError
         text = self.text.get(int(reference[1:]) if reference[1:].isdigit() else -1)
         if text is None:
             raise UnreadError
         tree = _tree(text)
-        # A complex entity's parts stand in one more pair of brackets.
+        # A complex entity's parts are enclosed in one more pair of brackets.
         words = tree[0] if len(tree) == 1 and isinstance(tree[0], list) else tree
         if len(words) % 2:
             raise UnreadError
         return {str(name): part for name, part in zip(words[::2], words[1::2], strict=True) if isinstance(part, list)}
 
     def simple(self, reference: Tree, name: str, least: int) -> list[Tree]:
-        """Return the arguments of an entity that must have a name, and so many of them.
+        """Return the arguments of an entity, checking its name and their number.
 
         Parameters
         ----------
         reference : str
-            As the file writes it, "#" and the entity's number.
+            As in the file: "#" and the entity's number.
         name : str
         least : int
         """
@@ -100,7 +100,7 @@ class Entities:
         return [_number(value) for value in values]
 
     def direction(self, reference: Tree) -> list[float]:
-        """Return a direction, of unit length."""
+        """Return a direction as a unit vector."""
         return _unit(self.triple(reference, "DIRECTION"))
 
     def placement(self, reference: Tree) -> tuple[list[float], list[float], list[float], list[float]]:
@@ -165,7 +165,7 @@ def _scaled(vector: list[float], mm: float) -> list[float]:
 
 
 def mm_per_unit(entities: Entities) -> float:
-    """Return the one unit of length of a file's geometry, in mm."""
+    """Return the only length unit of a file's geometry, mm."""
     units = set()
     for text in entities.text.values():
         if "GLOBAL_UNIT_ASSIGNED_CONTEXT" in text:
@@ -180,7 +180,7 @@ def mm_per_unit(entities: Entities) -> float:
 
 
 def _length_unit_mm(entities: Entities, parts: dict[str, list[Tree]], depth: int = 0) -> float:
-    """Return a unit of length in mm; inches are so many of another unit."""
+    """Return a length unit in mm; inches are defined by another unit."""
     if "SI_UNIT" in parts:
         prefix = parts["SI_UNIT"][0]
         if prefix not in SI_PREFIXES or parts["SI_UNIT"][1] != ".METRE.":
@@ -218,7 +218,7 @@ def _surface(entities: Entities, reference: str, mm: float) -> dict[str, Any]:
 
 
 def _curve(entities: Entities, reference: Tree, mm: float, depth: int = 0) -> dict[str, Any]:
-    """Return the curve that is swept, in mm; a part of a curve as the whole of it."""
+    """Return the generating curve, in mm; a part of a curve counts as the whole curve."""
     if depth > DEEPEST:
         raise UnreadError
     parts = entities.parts(reference)
@@ -226,7 +226,7 @@ def _curve(entities: Entities, reference: Tree, mm: float, depth: int = 0) -> di
         if name in parts:
             return _curve(entities, parts[name][1], mm, depth + 1)
     if "B_SPLINE_CURVE" in parts or "B_SPLINE_CURVE_WITH_KNOTS" in parts:
-        # Of a simple entity the words of both stand in one list, after its name as text.
+        # In a simple entity, the words of both are in one list, after its name as text.
         words = parts.get("B_SPLINE_CURVE") or parts["B_SPLINE_CURVE_WITH_KNOTS"][1:]
         times, values = parts["B_SPLINE_CURVE_WITH_KNOTS"][-3:-1]
         points = [_scaled(entities.triple(each, "CARTESIAN_POINT"), mm) for each in words[1]]
@@ -256,9 +256,9 @@ def _degree(word: Tree) -> int:
 
 
 def _knots(multiplicities: Tree, values: Tree, degree: int, points: int) -> list[float]:
-    """Return the knots of a B-spline, each as often as it counts."""
+    """Return the knots of a B-spline, repeated by multiplicity."""
     times = [_number(each) for each in multiplicities]
-    # Checked before they are written out: a multiplicity of 1e9 would fill the memory.
+    # Checked before repetition: a multiplicity of 1e9 would fill the memory.
     if any(each not in range(1, degree + 2) for each in times) or sum(times) != points + degree + 1:
         raise UnreadError
     knots = [value for each, n in zip(values, times, strict=True) for value in [_number(each)] * int(n)]
@@ -268,7 +268,7 @@ def _knots(multiplicities: Tree, values: Tree, degree: int, points: int) -> list
 
 
 def _weights(parts: dict[str, list[Tree]], points: list[list[list[float]]]) -> Tree:
-    """Return the words of a net's weights, 1 where it has none."""
+    """Return the words of a net's weights, 1 if it has none."""
     if "RATIONAL_B_SPLINE_SURFACE" in parts:
         return parts["RATIONAL_B_SPLINE_SURFACE"][0]
     return [["1"] * len(row) for row in points]
@@ -288,13 +288,7 @@ def _spline_surface(entities: Entities, parts: dict[str, list[Tree]], mm: float)
 
 
 def surfaces_of(content: str) -> list[dict[str, Any]]:
-    """Return the surfaces that a STEP file defines, in mm, each in the frame of its body.
-
-    Parameters
-    ----------
-    content : str
-        Of the file.
-    """
+    """Return the surfaces in the content of a STEP file, in mm, each in the frame of its body."""
     entities = Entities(content)
     try:
         mm = mm_per_unit(entities)
@@ -314,9 +308,9 @@ def surfaces_of(content: str) -> list[dict[str, Any]]:
 
 
 def main(arguments: list[str]) -> None:
-    """Read `path`, write `out` as JSON.
+    """Read `path` and write `out` as JSON.
 
-    The arguments are path and out, and the limits: memory and output in MiB, seconds.
+    The arguments are path, out, and the limits: memory in MiB, output in MiB and seconds.
     """
     path, out, memory, output, seconds = Path(arguments[0]), Path(arguments[1]), *map(int, arguments[2:])
     try:

@@ -1,4 +1,4 @@
-"""STL files, binary and text: facets without anything else."""
+"""STL files, binary and text: facets only."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ from lfmesh.geometry.meshes.mesh import Array, Mesh
 from lfmesh.regular_file import read_bytes, without_mark
 
 HEADER, RECORD = 84, 50
-"""Bytes before the facets, and of each."""
+"""Bytes before the facets, and bytes per facet."""
 
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -22,15 +22,10 @@ _COMMENT = re.compile(rb"(?:#|//)[^\n\r]*")
 def read(path: Path, notes: Notes) -> list[Piece]:
     """Return the facets of an STL file in its own unit, as one piece.
 
-    Parameters
-    ----------
-    path : Path
-    notes : Notes
-
     Raises
     ------
     MeshError
-        The file is cut short.
+        The file is truncated.
     ValueError
         It is broken otherwise.
     """
@@ -44,7 +39,7 @@ def read(path: Path, notes: Notes) -> list[Piece]:
 
 
 def _binary(path: Path, content: bytes, notes: Notes) -> Array | None:
-    """Return the corners (m, 3, 3) of a binary file; None for one that is none."""
+    """Return the corners (m, 3, 3) of a binary file; None for other files."""
     if len(content) < HEADER:
         return None
     count = int.from_bytes(content[80:84], "little")
@@ -63,7 +58,7 @@ def _binary(path: Path, content: bytes, notes: Notes) -> Array | None:
 
 
 def _text(content: bytes) -> Array | None:
-    """Return the corners (m, 3, 3) of a text file; None where it has none."""
+    """Return the corners (m, 3, 3) of a text file; None if it has none."""
     if b"vertex" not in content or b"FACET" in content:
         content = content.lower()
     if b"#" in content or b"//" in content:
@@ -76,7 +71,7 @@ def _text(content: bytes) -> Array | None:
         raise ValueError(
             f"cut short: it has {facets:,} whole facets and {len(parts) - 1:,} corners; each facet has three"
         )
-    # A corner mostly has a line of its own.
+    # Corners usually have one line each.
     rows = [part.partition(b"\n")[0] for part in parts[1:]]
     try:
         values = numbers(b"\n".join(rows))
@@ -88,7 +83,7 @@ def _text(content: bytes) -> Array | None:
 
 
 def _without_titles(content: bytes) -> bytes:
-    """Return a text without the lines in which bodies begin and end: their names may be any words."""
+    """Return a text without the lines that begin and end bodies: their names may be any words."""
     kept, at = [], 0
     while (start := content.find(b"solid", at)) >= 0:
         kept.append(content[at:start].removesuffix(b"end"))

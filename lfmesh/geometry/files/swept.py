@@ -1,7 +1,6 @@
-"""Points of the curves and nets that the surfaces of a STEP file are swept from, where they lie in a box.
+"""Points inside a box of the curves and nets of a STEP file's surfaces.
 
-Curves are those of ISO 10303-42, as `step_surfaces` writes them; each point of a sample is a point of the curve, to
-rounding.
+Curves follow ISO 10303-42, in the format of `step_surfaces`. Each sample point is on the curve, to rounding.
 """
 
 from collections.abc import Callable
@@ -14,35 +13,35 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array
 
 ENOUGH, MOST = 129, 512
-"""Points that a profile is fitted to, and pieces of a curve that are looked into at a time."""
+"""Points for fitting a profile, and pieces of a curve examined at a time."""
 
 PIECES = 8
-"""A piece of a curve is divided into."""
+"""Number of parts into which a piece of a curve is divided."""
 
 DEEPEST = 14
-"""Divisions, by eight each: the last pieces are 2e-13 of the whole."""
+"""Number of such divisions: the last pieces are 2e-13 of the whole."""
 
 ARC_PER_CHORD = 2.0
-"""A short piece of a curve is no longer than so many times the distance of its ends."""
+"""Largest ratio of arc length to chord of a short piece of a curve."""
 
 FARTHEST = 50.0
-"""Parameter of a hyperbola and a parabola, which have no end: beyond, it is farther than any lens."""
+"""Largest parameter of an endless hyperbola or parabola: farther than any lens."""
 
 Outside = Callable[[Array], Array]
-"""Distance of points (n, 3) outside a box, mm; 0 for those inside."""
+"""Distance of points (n, 3) outside a box, mm; 0 inside."""
 
 
 def curve_in_box(curve: dict[str, Any], place: frame.Frame, outside: Outside) -> Array:
-    """Return points (n, 3) of a curve that lie in a box, `ENOUGH` or more; none where it does not meet the box.
+    """Return points (n, 3) of a curve inside a box, `ENOUGH` or more; none if the curve misses the box.
 
     Parameters
     ----------
     curve : dict
-        As `step_surfaces` writes it.
+        In the format of `step_surfaces`.
     place : (3, 4) float64
         Frame of its body.
     outside : function
-        Of the box.
+        Distance outside the box.
     """
     at, t = _parametrised(curve)
     for _ in range(DEEPEST):
@@ -62,17 +61,7 @@ def curve_in_box(curve: dict[str, Any], place: frame.Frame, outside: Outside) ->
 
 
 def net_in_box(net: dict[str, Any], place: frame.Frame, outside: Outside) -> Array:
-    """Return points (n, 3) of a B-spline surface that lie in a box, as `curve_in_box` does.
-
-    Parameters
-    ----------
-    net : dict
-        As `step_surfaces` writes it.
-    place : (3, 4) float64
-        Frame of its body.
-    outside : function
-        Of the box.
-    """
+    """Return points (n, 3) of a B-spline surface inside a box; for the parameters, see `curve_in_box`."""
     from scipy.interpolate import BSpline
 
     weights = np.asarray(net["weights"], dtype=np.float64)[..., None]
@@ -94,13 +83,13 @@ def net_in_box(net: dict[str, Any], place: frame.Frame, outside: Outside) -> Arr
 
 
 def _round(t: Array, inside: Array) -> tuple[float, float]:
-    """Return the interval of parameters round those that are inside."""
+    """Return the interval of parameters that encloses the points inside."""
     found = np.flatnonzero(inside)
     return float(t[max(found[0] - 1, 0)]), float(t[min(found[-1] + 1, len(t) - 1)])
 
 
 def _parametrised(curve: dict[str, Any]) -> tuple[Callable[[Array], Array], Array]:
-    """Return a curve's points (n, 3) by its parameter (n,), and parameters from end to end."""
+    """Return a function from parameters (n,) to points (n, 3) of a curve, and parameters from end to end."""
     if curve["kind"] == "spline":
         from scipy.interpolate import BSpline
 
@@ -119,7 +108,7 @@ def _parametrised(curve: dict[str, Any]) -> tuple[Callable[[Array], Array], Arra
         )
     at, x = np.asarray(curve["at"]), np.asarray(curve["x"])
     if curve["kind"] == "line":
-        # Tangents make it finite: its parameter is an angle.
+        # The parameter is an angle; its tangent covers the line.
         size = 1.0 + float(np.abs(at).max())
         return lambda t: at + size * np.tan(t)[:, None] * x, np.linspace(-1.5, 1.5, MOST // PIECES + 1)
     y, a, b = np.asarray(curve["y"]), curve["a"], curve["b"]

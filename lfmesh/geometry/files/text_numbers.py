@@ -9,12 +9,12 @@ from lfmesh.geometry.meshes.mesh import Array, Index
 
 
 def numbers(text: str | bytes, kind: type = np.float64) -> Array:
-    """Return the numbers of a text that are set apart by white space, (n,) of a kind.
+    """Return the numbers of a text that are separated by white space, (n,).
 
     Raises
     ------
     ValueError
-        Something else stands among them.
+        The text contains something else.
     """
     if isinstance(text, bytes):
         text = text.decode("latin-1")
@@ -37,14 +37,14 @@ def _is_number(word: str, kind: type) -> bool:
 
 
 def table(rows: Sequence[str], least: int) -> tuple[Array, Index]:
-    """Return the numbers of rows of text, with NaN where a row is shorter than the longest, and each row's count.
+    """Return the numbers of rows of text, filled with NaN to the longest row, and the number in each row.
 
     Parameters
     ----------
     rows : sequence of str
-        White space between numbers.
+        Numbers separated by white space.
     least : int
-        Numbers that a row must have.
+        Least number per row.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def table(rows: Sequence[str], least: int) -> tuple[Array, Index]:
     Raises
     ------
     ValueError
-        A row is too short, or holds something else.
+        A row is too short, or contains something else.
     """
     counts = np.fromiter((len(row.split()) for row in rows), np.int64, len(rows))
     if len(rows) and counts.min() < least:

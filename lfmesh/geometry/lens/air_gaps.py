@@ -1,7 +1,7 @@
-"""Finer meshes of lens surfaces where neighbours come near each other, so that their meshes do not cross.
+"""Finer meshes of lens surfaces in narrow gaps, so that the meshes of neighbours do not cross.
 
-A mesh of rings of equal width would have to be as fine everywhere as it must be where the gap is narrowest: at the edge
-of an air gap, say. Here circles stand close, and carry many points, only there.
+Rings of equal width would have to be as fine everywhere as in the narrowest part of the gap, such as the edge of an air
+gap. Here, circles are close together and have many points only there.
 """
 
 from collections.abc import Callable
@@ -31,35 +31,35 @@ from lfmesh.geometry.surfaces.tessellation import (
 )
 
 SHARE = 0.125
-"""Share of a gap that each surface's mesh may deviate along the meridian, and as much along circles: both meshes
-together stay below half of it."""
+"""Fraction of a gap by which each surface's mesh may deviate along the meridian, and as much again along circles; both
+meshes together stay below half of the gap."""
 
 MOST_PARTS = 8
-"""Parts that an interval is divided into at once."""
+"""Largest number of parts into which an interval is divided at once."""
 
 
 class Circles(NamedTuple):
-    """Circles of a surface that its mesh has vertices on, from the centre to the rim: radii, mm, and points of each."""
+    """Circles through the vertices of a surface's mesh, from the centre to the rim: radii in mm, and points on each."""
 
     radii: Array
     counts: Index
 
     @property
     def even(self) -> bool:
-        """True if they are those of rings of equal width."""
+        """True if they are the circles of rings of equal width."""
         return np.array_equal(self.counts, [1, *range(6, 6 * len(self.counts), 6)])
 
 
 def circles_of(surfaces: NDArray[np.void], rings: int) -> list[Circles]:
-    """Return the circles of all surfaces, which keep their meshes apart from those of their neighbours.
+    """Return the circles of all surfaces, such that neighbouring meshes do not cross.
 
-    Their rims have the same number of points. Where no gap is narrow, they are the circles of `tessellation.cap`.
+    All rims have the same number of points. If no gap is narrow, `tessellation.cap` has the same circles.
 
     Parameters
     ----------
     surfaces : (K,) SURFACE
     rings : int
-        Rings of triangles of a mesh that has no near neighbour.
+        Rings of triangles of a mesh without a near neighbour.
     """
     points = 6 * rings
     while True:
@@ -68,19 +68,13 @@ def circles_of(surfaces: NDArray[np.void], rings: int) -> list[Circles]:
         needed = max((int(each.counts[-1]) for each in found), default=points)
         if needed <= points:
             break
-        # The more points, the smaller a rim is whose chords are to stay outside of the clear aperture.
+        # With more points, the chords of a smaller rim stay outside the clear aperture.
         points = needed
     return [Circles(each.radii, np.append(each.counts[:-1], points)) for each in found]
 
 
 def cap_on(surface: Any, circles: Circles) -> Mesh:
-    """Return the mesh of a surface with vertices on circles, as `tessellation.cap` does for circles of its own.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    circles : Circles
-    """
+    """Return the mesh of a SURFACE record with vertices on given circles; `tessellation.cap` chooses its own."""
     counts = circles.counts.tolist()
     azimuth = np.concatenate([2 * np.pi * np.arange(n) / n for n in counts])
     return disk_mesh(surface, np.repeat(circles.radii, counts), azimuth, _between_circles(tuple(counts)))
@@ -88,7 +82,7 @@ def cap_on(surface: Any, circles: Circles) -> Mesh:
 
 @cache
 def _between_circles(counts: tuple[int, ...]) -> Index:
-    """Return the faces (f, 3), facing +z, between neighbouring circles of so many points; the first is the centre."""
+    """Return the faces (f, 3), facing +z, between neighbouring circles with given counts; the first is the centre."""
     first = np.concatenate([[0], np.cumsum(counts)])
     return np.concatenate(
         [_strip(int(first[i]), counts[i], int(first[i + 1]), counts[i + 1]) for i in range(len(counts) - 1)]
@@ -96,9 +90,10 @@ def _between_circles(counts: tuple[int, ...]) -> Index:
 
 
 def _strip(inner: int, inner_count: int, outer: int, outer_count: int) -> Index:
-    """Return the faces between two circles, given by the number of their first vertex and how many they have.
+    """Return the faces between two circles, given by their first vertex and number of vertices.
 
-    Every edge of one circle has its apex on the other, where the edges that come before it by their middles end.
+    The edges of both circles are ordered by the azimuth of their middles. The third corner of each edge's face is the
+    vertex on the other circle that the preceding edges end at.
     """
     edges_in, edges_out = np.arange(inner_count if inner_count > 1 else 0), np.arange(outer_count)
     middles = np.concatenate([(edges_in + 0.5) * outer_count, (edges_out + 0.5) * max(inner_count, 1)])
@@ -113,7 +108,7 @@ def _strip(inner: int, inner_count: int, outer: int, outer_count: int) -> Index:
 
 
 def _allowed(surfaces: NDArray[np.void], rims: list[float], k: int) -> Callable[[Array], Array]:
-    """Return a function of radii that gives how far a mesh of surface k may deviate there, each way, mm."""
+    """Return a function of radii (n,) that gives the deviation allowed to the mesh of surface k, either way, mm."""
 
     def allowed(r: Array) -> Array:
         gap = np.full(len(r), np.inf)
@@ -127,17 +122,18 @@ def _allowed(surfaces: NDArray[np.void], rims: list[float], k: int) -> Callable[
 
 
 def _gap(one: Any, other: Any, r: Array, sense: float, rim: float) -> Array:
-    """Return the gap along z, at radii of one surface, to another that has a rim; inf beyond that, mm.
+    """Return the gap along z from one surface, at given radii, to another; inf beyond the other's rim, mm.
 
-    Samples set how fine meshes are; whether surfaces cross is proven elsewhere, see `surface_gaps` and `edges`.
+    It is sampled, and sets only how fine the meshes are; `surface_gaps` and `edges` prove that surfaces do not cross.
 
     Parameters
     ----------
     one, other : SURFACE record
     r : (n,) float64, mm
     sense : float
-        1: the other stands behind it, −1: before it.
+        1: the other is behind the first, −1: in front of it.
     rim : float, mm
+        Radius of the other's rim.
     """
     if stand_together(one, other) and is_revolved(one) and is_revolved(other):
         away = other["vertex_z"] + mesh_sag(other, r) - one["vertex_z"] - mesh_sag(one, r)
@@ -147,7 +143,7 @@ def _gap(one: Any, other: Any, r: Array, sense: float, rim: float) -> Array:
 
 
 def _circles(surface: Any, rings: int, rim: float, allowed: Callable[[Array], Array]) -> Circles:
-    """Return the circles of one surface: those of `rings` rings, and more where less deviation is allowed."""
+    """Return the circles of one surface: `rings` equal rings, with more where less deviation is allowed."""
     own = ring_radii(surface, rings, rim)
     radii, counts = [0.0], [1]
     for i in range(rings):
@@ -162,23 +158,25 @@ def _circles(surface: Any, rings: int, rim: float, allowed: Callable[[Array], Ar
     with np.errstate(divide="ignore", invalid="ignore"):
         needed = np.pi / np.arccos(np.clip(1.0 - least / depth, -1.0, 1.0))
         if not is_revolved(surface):
-            # Along the circle the surface rises and falls too: as a chord's depth, that goes with its length squared.
+            # Along the circle the surface rises and falls too; the error of a chord grows with its length squared.
             needed = np.maximum(needed, np.pi * np.sqrt(0.5 * _waviness(surface, r) / least))
     needed = np.where(depth > 0.0, np.minimum(6 * np.ceil(needed / 6), 6 * MAX_RINGS), 0)
     return Circles(r, np.maximum(counts, needed.astype(np.int64)))
 
 
 def _waviness(surface: Any, r: Array) -> Array:
-    """Return the largest second derivative of z by the azimuth on circles of radii (n,), mm.
+    """Return the largest second derivative of z by azimuth, mm, on circles of radii (n,).
 
-    Samples set how fine meshes are, as in `_gap`.
+    It is sampled, like `_gap`.
     """
     z = mesh_heights(surface, np.multiply.outer(r, np.cos(ALL_ROUND)), np.multiply.outer(r, np.sin(ALL_ROUND)))
     return np.asarray(np.abs(np.diff(z, 2, axis=1)).max(axis=1) / ALL_ROUND[1] ** 2)
 
 
 def _divided(surface: Any, low: float, high: float, allowed: Callable[[Array], Array], finest: float) -> list[float]:
-    """Return the radii, above `low` and up to `high`, between which the meridian's chords deviate as allowed, mm.
+    """Divide the meridian between two radii until its chords deviate no more than allowed; return the radii, mm.
+
+    The first radius is left out.
 
     Parameters
     ----------
@@ -186,7 +184,7 @@ def _divided(surface: Any, low: float, high: float, allowed: Callable[[Array], A
     low, high : float, mm
     allowed : function of (n,) radii
     finest : float, mm
-        Width that is divided no further.
+        Width that is not divided further.
     """
     at = np.array([low, 0.5 * (low + high), high])
     limit = allowed(at)

@@ -1,7 +1,7 @@
-"""Lens elements that stand off their place: their poses, what must not cross, and the rings that close the spaces.
+"""Misaligned lens elements: poses, check for crossing surfaces, and rings that close the spaces.
 
-The surfaces of an element move rigidly about the vertex of its first surface. Where two neighbouring surfaces have
-moved against each other, the ring between their rims is no longer a surface of revolution.
+The surfaces of an element move rigidly about the vertex of its first surface. Once two neighbouring surfaces have moved
+relative to each other, the ring between their rims is no longer a surface of revolution.
 """
 
 from itertools import pairwise
@@ -21,13 +21,13 @@ from lfmesh.scene.camera.lens import Lens
 
 
 def pose_of(lens: Lens, number: int) -> frame.Frame:
-    """Return the rigid motion (3, 4) that takes a surface of the prescription from its place to where it stands.
+    """Return the rigid motion (3, 4) of a surface from its nominal position to its actual one.
 
     Parameters
     ----------
     lens : Lens
     number : int
-        Of the surface, as the scene counts them.
+        Number of the surface in the scene.
     """
     which = lens.element_of(number)
     if which is None:
@@ -41,7 +41,7 @@ def pose_of(lens: Lens, number: int) -> frame.Frame:
 
 
 def refuse_crossing_elements(lens: Lens) -> None:
-    """Refuse poses by which neighbouring surfaces, the stop among them, cross inside their clear apertures.
+    """Raise if poses make neighbouring surfaces, including the stop, cross inside their clear apertures.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def refuse_crossing_elements(lens: Lens) -> None:
     Raises
     ------
     SceneError
-        The message names the pose and says by how much they cross, or may cross where bounds leave it open.
+        The message names the pose and the depth of the crossing, or its bound if a crossing is only possible.
     """
     records = []
     for number, s in enumerate(lens.surfaces):
@@ -68,7 +68,7 @@ def refuse_crossing_elements(lens: Lens) -> None:
 
 
 def _refusal(lens: Lens, number: int, found: float, possible: float) -> str:
-    """Return the refusal of the poses that make surfaces `number` and the next cross, or may do so."""
+    """Return the error message for poses that make surfaces `number` and `number` + 1 cross, or possibly cross."""
     which = [lens.element_of(n) for n in (number, number + 1)]
     named = ", ".join(
         f"camera.lens.elements[{i}].pose = {{ shift_mm = {list(lens.elements[i].pose.shift_mm)}, "
@@ -88,7 +88,7 @@ def _refusal(lens: Lens, number: int, found: float, possible: float) -> str:
 
 
 def closure(lens: Lens, surfaces: NDArray[np.void], rims: list[float], numbers: list[int], k: int, count: int) -> Mesh:
-    """Return the ring that joins the rims of surfaces k and k + 1 where they stand, and faces the axis.
+    """Return the ring that joins the rims of surfaces k and k + 1 in their poses, and faces the axis.
 
     Parameters
     ----------
@@ -96,10 +96,10 @@ def closure(lens: Lens, surfaces: NDArray[np.void], rims: list[float], numbers: 
     surfaces : (K,) SURFACE
     rims : (K,) list of float, mm
     numbers : (K,) list of int
-        Place of each refracting surface in the prescription.
+        Position of each refracting surface in the prescription.
     k : int
     count : int
-        Azimuths.
+        Number of azimuths.
     """
     front, back = surfaces[k], surfaces[k + 1]
     if not (is_revolved(front) and is_revolved(back)):
@@ -116,12 +116,12 @@ def closure(lens: Lens, surfaces: NDArray[np.void], rims: list[float], numbers: 
         return frame.points(of["pose"], placed) if of["posed"] else placed
 
     first, last = circle(front, profile[0]), circle(back, profile[-1])
-    # Where one of them is turned about its axis, each vertex is joined to the nearest of the other rim.
+    # If one of them is turned about its axis, join each vertex to the nearest one of the other rim.
     turns = [int(np.argmin([np.square(first - np.roll(last, -n, axis=0)).sum() for n in range(count)]))]
     last = np.roll(last, -turns[0], axis=0)
     trials = [np.stack([first, last])]
     if len(profile) == 3:
-        # The annulus is rigid with the narrower surface, whose rim it starts from.
+        # The annulus starts from the rim of the narrower surface and moves with it.
         corner = circle(front, profile[1]) if rims[k] < rims[k + 1] else np.roll(circle(back, profile[1]), -turns[0], 0)
         trials.insert(0, np.stack([first, corner, last]))
     for lines in trials:
@@ -136,7 +136,7 @@ def closure(lens: Lens, surfaces: NDArray[np.void], rims: list[float], numbers: 
 def _closure_off_revolution(
     lens: Lens, front: Any, front_rim: float, back: Any, back_rim: float, numbers: tuple[int, int], count: int
 ) -> Mesh:
-    """Return the ring between two surfaces one of which is a biconic or toroid, whose rim goes up and down."""
+    """Return the ring between two surfaces if one is a biconic or toroid, with a rim that rises and falls."""
     first, last = (on_circles(s, np.array([r]), count)[0] for s, r in ((front, front_rim), (back, back_rim)))
     narrow, rim, wide = (front, front_rim, back_rim) if front_rim < back_rim else (back, back_rim, front_rim)
     turn = 0
@@ -165,7 +165,7 @@ def _closure_off_revolution(
 
 
 def _clears(lines: Array, front: Any, front_rim: float, back: Any, back_rim: float) -> bool:
-    """Tell whether strips between closed lines of points stay behind the front surface and before the back one."""
+    """Tell whether strips between closed polylines stay behind the front surface and in front of the back one."""
     return all(
         stays_beside(in_place(of, lines), of, rim, side, lines.shape[1])
         for of, rim, side in ((front, front_rim, 1.0), (back, back_rim, -1.0))

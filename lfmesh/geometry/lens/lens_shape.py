@@ -1,4 +1,4 @@
-"""The main lens as meshes: a cap for every refracting surface, and rings that close the spaces between them."""
+"""The main lens as meshes: a cap for each refracting surface, and a ring for each space between two."""
 
 from dataclasses import dataclass
 
@@ -24,25 +24,25 @@ from lfmesh.optics.glass import Medium
 from lfmesh.scene import Scene
 
 LEAST_RINGS = 5
-"""Rings of triangles a lens surface has at least: enough for `exact`, which takes only the facet's number from it."""
+"""Least number of triangle rings of a lens surface: enough for `exact`, which takes only facet numbers from meshes."""
 
 PIXEL_SHARE = 0.1
-"""Error at the sensor, in pixels, that the default tessellation of the other levels stays below, where it can."""
+"""Error at the sensor, in pixels, below which the default tessellation of the other levels stays if it can."""
 
 ORDER = {"flat": 1.0, "smooth": 2.0, "patch": 3.0}
-"""Order by which the error at the sensor falls with the facets' size."""
+"""Order in the facet size with which the error at the sensor decreases."""
 
 
 @dataclass
 class LensShape:
-    """The lens as meshes in the camera frame: a cap for each refracting surface, a ring for each space between two."""
+    """The lens as meshes in the camera frame; see the module."""
 
     numbers: list[int]
-    """Place of each refracting surface in the scene's list."""
+    """Position of each refracting surface in the scene's list."""
     surfaces: NDArray[np.void]
     """(K,) SURFACE, with their poses."""
     rings: int
-    """Rings of triangles a cap, where no neighbour comes near."""
+    """Rings of triangles per cap, unless a neighbour is near."""
     azimuths: int
     """Points on the rim of a cap."""
     rims: list[float]
@@ -52,13 +52,13 @@ class LensShape:
     media: list[Medium]
     """Medium of each space: K + 1 entries, the object medium first, air last."""
     analytic: NDArray[np.bool_]
-    """Surfaces with an analytic parent; the others are meshes from a file."""
+    """True for surfaces with an exact shape, False for meshes from a file."""
     errors_mm: Array
-    """(K,) estimated rms error at the sensor that each surface's mesh makes; NaN for a mesh from a file."""
+    """(K,) estimated rms error at the sensor due to each surface's mesh; NaN for a mesh from a file."""
 
     @property
     def elements(self) -> list[int]:
-        """The surface in front of every piece of glass, in order."""
+        """Number of the front surface of each piece of glass, in order."""
         return [k for k in range(len(self.caps) - 1) if self.media[k + 1] is not None]
 
 
@@ -69,7 +69,7 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
     ----------
     scene : Scene
     rings : int, optional
-        Rings of triangles a cap, in place of what the tolerance or the sensor's pixels ask for.
+        Rings of triangles per cap. Default: from the tolerance or the pixel size.
     """
     prescription = scene.camera.lens
     numbers = [i for i in range(len(prescription.surfaces)) if not prescription.is_pure_stop(i)]
@@ -103,7 +103,7 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
         else:
             face = face_of(mesh, scene)
             surfaces[k]["level"] = SURFACE_LEVEL[mesh.facets]
-            # A ring that starts a little inside the rim leaves no gap to a rim that is no circle.
+            # A ring that starts slightly inside the rim leaves no gap to a rim that is not quite a circle.
             rims.append((1.0 - 0.2 * RIM_MARGIN) * face.rim_mm)
             shift = surfaces[k]["vertex_z"] - face.vertex_z
             caps.append(Mesh(np.add(face.mesh.vertices, [0.0, 0.0, shift]), face.mesh.faces, face.mesh.corner_normals))
@@ -115,9 +115,9 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
 
 
 def _rings(scene: Scene, numbers: list[int], surfaces: NDArray[np.void]) -> int:
-    """Choose the coarsest meshes that keep to the tolerance.
+    """Return the number of rings of the coarsest meshes within the tolerance.
 
-    The user's, if there is one; else, but for `exact`, a tenth of a pixel at the sensor.
+    The tolerance is the user's, if given. Otherwise it is a tenth of a pixel at the sensor, except for `exact`.
     """
     wished = scene.transport.tessellation
     rings = rings_for(surfaces, LEAST_RINGS, wished.sag_mm or np.inf)
@@ -129,7 +129,7 @@ def _rings(scene: Scene, numbers: list[int], surfaces: NDArray[np.void]) -> int:
         rims = [rim_radius(s, rings) for s in surfaces]
         caps = [cap(s, rings, rim) for s, rim in zip(surfaces, rims, strict=True)]
         if wished.normal_mrad is not None:
-            # `exact` bends rays by the surface's own normal; the tolerance then speaks of the mesh's.
+            # `exact` bends rays by the surface's own normal; the tolerance then applies to the mesh's.
             level = SMOOTH if name == "exact" else SURFACE_LEVEL[name]
             worst = max(facet_errors(s, c, level)[0] for s, c in zip(surfaces, caps, strict=True))
             excess = worst * 1e3 / wished.normal_mrad

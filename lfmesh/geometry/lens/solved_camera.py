@@ -1,9 +1,7 @@
-"""The solved camera: a scene with nothing left to solve, its first-order report, and the meshes of its lens.
+"""The solved camera: a scene with all unknowns solved, its first-order report, its paraxial lens and its lens meshes.
 
-Every part of lfmesh asks here for the solved scene, its first-order report, its paraxial lens and the lens's meshes.
-Scenes are immutable, so that an equal scene has the same answer, unless a file that its lens is made of has changed:
-the files' stamps are part of what an answer is kept under. Scenes with one camera and different targets, lights or
-random numbers share the meshes of its lens.
+Scenes are immutable, so results are cached and equal scenes share them, unless a lens file has changed (by its stamp).
+Scenes that differ only in targets, lights or random numbers share the lens meshes.
 """
 
 from collections import OrderedDict
@@ -24,14 +22,14 @@ from lfmesh.scene.inputs import file_stamp, files_of
 from lfmesh.scene.literals import plain
 
 KEPT = 16
-"""Cameras that are kept, the latest ones asked for."""
+"""Cameras in the cache, most recently used."""
 
 Key = tuple[object, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class SolvedCamera:
-    """A scene with nothing left to solve, and what follows from it. Made by `solved_camera`; compared by identity.
+    """A scene with all unknowns solved, and its derived results. Made by `solved_camera`; compared by identity.
 
     Attributes
     ----------
@@ -49,7 +47,7 @@ class SolvedCamera:
 
     @cached_property
     def facts(self) -> FirstOrder:
-        """The first-order report without its warnings, which take longest."""
+        """The first-order report without its warnings, which take longest to compute."""
         return without_warnings(self.scene)
 
     @cached_property
@@ -58,12 +56,12 @@ class SolvedCamera:
         return Paraxial.of(self.scene.camera.lens, self.scene.primary_nm)
 
     def lens_shape(self, rings: int | None = None) -> LensShape:
-        """Return the meshes of the lens, which are read-only; the table of its surfaces is the caller's own.
+        """Return the meshes of the lens, read-only, with a copy of the table of its surfaces.
 
         Parameters
         ----------
         rings : int, optional
-            Rings of triangles a cap, in place of what the tolerance or the sensor's pixels ask for.
+            Rings of triangles per cap. Default: from the tolerance or the pixel size.
         """
         if rings not in self._shapes:
             shape = lens_shape(self.scene, rings)
@@ -85,13 +83,13 @@ _lock = Lock()
 
 
 def solved_camera(scene: Scene) -> SolvedCamera:
-    """Return the solved camera of a scene: computed once, then kept while scene and files stay as they are.
+    """Return the solved camera of a scene, from the cache if neither the scene nor its files have changed.
 
     Raises
     ------
     LfmeshError
-        A distance is neither given nor to be had from `focus_mm`, a lens or mesh file cannot be used, or what follows
-        from the scene is impossible.
+        A distance is neither given nor follows from `focus_mm`, a lens or mesh file cannot be used, or the solved scene
+        is impossible.
     """
     lens = with_lens_file(scene.camera.lens, scene.folder)
     key = _key(scene, lens)
@@ -102,13 +100,13 @@ def solved_camera(scene: Scene) -> SolvedCamera:
             return camera
     ready = with_tanks(solved(measured(scene)))
     if _key(scene, lens) != key:
-        # A file changed while it was read: what was read belongs to neither key.
+        # A file changed while it was read: its content belongs to neither key.
         return SolvedCamera(ready)
     own = _key(ready, ready.camera.lens)
     settings = ready.transport.surface, ready.transport.tessellation, ready.primary_nm
     shapes = _shapes_of(ready.camera, *settings, *own[1:])
     with _lock:
-        # What is solved already is its own solution.
+        # A solved scene is its own solution.
         camera = _kept.setdefault(own, SolvedCamera(ready, shapes))
         _kept[key] = camera
         while len(_kept) > 2 * KEPT:
@@ -117,7 +115,9 @@ def solved_camera(scene: Scene) -> SolvedCamera:
 
 
 def first_order(scene: Scene) -> FirstOrder:
-    """Return the first-order report of a scene, elements given as meshes measured first; see `solved_camera`.
+    """Return the first-order report of a scene; elements given as meshes are measured first.
+
+    The report is cached; see `solved_camera`.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def first_order(scene: Scene) -> FirstOrder:
 
 
 def mesh_lines(scene: Scene) -> list[str]:
-    """Return in words how a scene's lens is meshed: triangles a surface, and what they cost at the sensor."""
+    """Return text lines that describe the lens meshes: triangles per surface, and error at the sensor."""
     lines = face_lines(scene)
     camera = solved_camera(scene)
     scene, shape = camera.scene, camera.lens_shape()
@@ -151,14 +151,14 @@ def mesh_lines(scene: Scene) -> list[str]:
 
 
 def _key(scene: Scene, lens: Lens) -> Key:
-    """Return what the answer for a scene depends on; `lens` is the scene's, read from its file where it names one."""
+    """Return the cache key of a scene; `lens` is the scene's lens, read from its file if it names one."""
     files = tuple((place, path, file_stamp(scene.resolve(path))) for place, path in _files_of(lens))
     return scene.digest, scene.folder, tuple(sorted(scene.digests.items())), lens, files
 
 
 @lru_cache(maxsize=KEPT)
 def _shapes_of(*_: object) -> dict[int | None, LensShape]:
-    """Return the meshes, by rings, of all scenes that are alike in what meshes of a lens depend on, as given."""
+    """Return the meshes, by number of rings, shared by all scenes with the same lens settings."""
     return {}
 
 

@@ -1,9 +1,9 @@
-"""Depth to which one optical surface reaches through another, and the radius at which they touch, by bounds on cells.
+"""Penetration depth of two optical surfaces, and the radius of their contact, by bounds on cells.
 
-The aperture of the first surface is divided into squares. From the height over the other surface at the middle of a
-square follows its largest one there, by its gradient and a bound of its second derivatives. Squares that cannot hold
-a larger height than was found are done, the others are divided. Surfaces that touch along an area, or all but do, leave
-more squares than are divided: that they cross by no more than the bounds of these is all that is proven then.
+The aperture of the first surface is divided into squares. The height over the other surface at the middle of a square,
+its gradient and a bound of the second derivatives give the largest possible height in the square. Only squares that may
+exceed the largest height found so far are divided further. If surfaces touch, or nearly touch, over an area, too many
+squares remain, and only their bounds are proven.
 """
 
 from itertools import pairwise
@@ -27,40 +27,40 @@ from lfmesh.geometry.surfaces.tessellation import (
 )
 
 FIRST = 9
-"""Squares across an aperture to begin with; the middle of one is the vertex."""
+"""Initial number of squares across an aperture; odd, so that the middle of one is the vertex."""
 
 LEVELS = 20
-"""Times that they are halved at most."""
+"""Largest number of halvings."""
 
 MOST_SQUARES = 1 << 13
-"""Squares at most; the others are left undecided, as of surfaces that touch all over."""
+"""Largest number of squares. Others stay undecided, as when surfaces touch all over."""
 
 CLOSE_ENOUGH = 1.001
-"""Largest height over the one that is found, at most."""
+"""Ratio of the largest possible height to the height found that ends the search."""
 
 QUARTERS = np.array([(x, y) for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
-"""Middles of the quarters of a square, in half its sides."""
+"""Middles of the quarters of a square, in units of half its side."""
 
 
 def reaches_through(one: Any, other: Any, sense: float, least: float, enough: float = np.inf) -> tuple[float, float]:
-    """Return how far a surface reaches through another one, along that one's axis, inside both clear apertures, mm.
+    """Return the depth of a surface beyond another, along the other's axis, inside both clear apertures, mm.
 
     Parameters
     ----------
     one, other : SURFACE record
     sense : float
-        1: by points of `one` beyond `other`, along its axis; −1: by points before it.
+        1: points of `one` beyond `other`, along its axis; −1: points in front of it.
     least : float, mm
-        Depth that does not count.
+        Depth that is ignored.
     enough : float, mm
-        Depth that is not followed any further once it is found.
+        Depth that ends the search.
 
     Returns
     -------
     found : float
-        0 where no point that reaches through by more than `least` was found.
+        Largest depth found; 0 if no point deeper than `least` was found.
     possible : float
-        No point reaches through by more. 0 where none is proven to reach through by more than `least`.
+        Upper bound of the depth; 0 if none can exceed `least`.
     """
     radius, edge = (min(float(s["semi_diameter"]), last_radius(s), reach(s)) for s in (one, other))
     one, other = (with_bends(s, end) for s, end in ((one, radius), (other, edge)))
@@ -73,7 +73,7 @@ def reaches_through(one: Any, other: Any, sense: float, least: float, enough: fl
         open_ = most > max(least, CLOSE_ENOUGH * deepest)
         middles, most = middles[open_], most[open_]
         if 4 * len(middles) > MOST_SQUARES:
-            # Those of the largest bounds are divided: they decide how far the surfaces may reach.
+            # Divide the squares with the largest bounds, which decide the result.
             order = np.argsort(-most)
             aside = max(aside, float(most[order[MOST_SQUARES // 4]]))
             middles, most = middles[order[: MOST_SQUARES // 4]], most[order[: MOST_SQUARES // 4]]
@@ -86,30 +86,31 @@ def reaches_through(one: Any, other: Any, sense: float, least: float, enough: fl
 
 
 def crossing(front: Any, back: Any, least: float, enough: float = np.inf) -> tuple[float, float]:
-    """Return how far a surface and the next reach through each other, and how far they may at most, mm.
+    """Return the penetration depth of two neighbouring surfaces and its upper bound, mm.
 
     Parameters
     ----------
     front, back : SURFACE record
     least, enough : float, mm
-        As for `reaches_through`.
+        See `reaches_through`.
     """
     found, possible = zip(
         *(reaches_through(*pair, least, enough) for pair in ((front, back, 1.0), (back, front, -1.0))), strict=True
     )
-    # Along either axis it is a proof that they do not.
+    # A proof along either axis shows that they do not cross.
     return max(found), max(possible) if min(possible) > 0.0 or max(found) > 0.0 else 0.0
 
 
 def end_where_they_touch(surfaces: NDArray[np.void], rings: int) -> None:
-    """End surfaces that touch outside their clear apertures, or at their rims, where they do.
+    """Shorten surfaces that touch at or outside their clear apertures to the radius where they touch.
 
-    Meshes of that many rings or more, which reach a little beyond the apertures, would cross there.
+    Meshes, which extend slightly beyond the apertures, would cross there.
 
     Parameters
     ----------
     surfaces : (K,) SURFACE
     rings : int
+        Least number of rings of the meshes.
     """
     for front, back in pairwise(surfaces):
         inner = float(min(front["semi_diameter"], back["semi_diameter"]))
@@ -124,10 +125,10 @@ def end_where_they_touch(surfaces: NDArray[np.void], rings: int) -> None:
 
 
 def _first_touch(front: Any, back: Any, low: float, high: float) -> float:
-    """Return the radius from `low` to `high` at which surfaces of revolution first touch; inf where they do not, mm.
+    """Return the radius of the first contact of surfaces of revolution, from `low` to `high`, mm; inf if there is none.
 
-    Between two radii the gap falls below the smaller one at both by m h² / 8 at most, with a bound m of its second
-    derivative and the distance h of the radii.
+    Between two radii at distance h the gap is at least the smaller of the gaps there less m h² / 8, with m a bound of
+    its second derivative.
     """
     ends = np.array([low, high])
     at_low, at_high = back["vertex_z"] + sag(back, ends) - front["vertex_z"] - sag(front, ends)
@@ -146,10 +147,10 @@ def _first_touch(front: Any, back: Any, low: float, high: float) -> float:
 
 
 def _first_touch_off_axis(front: Any, back: Any, low: float, high: float) -> float:
-    """Return the radius from `low` to `high` of the parts of two surfaces that first touch; inf where they do not, mm.
+    """Return the radius from `low` to `high` of the smallest parts of two surfaces that touch, mm; inf if none do.
 
-    Beyond `low` the larger parts hold all points of the smaller ones: where those touch, so do they. Parts that are not
-    proven apart count as touching.
+    Larger parts contain smaller ones, so they touch too and bisection applies. Parts not proven apart count as
+    touching.
     """
     least = ROUNDING_OF_COORDINATES * float(abs(back["vertex_z"]) + high)
 
@@ -167,13 +168,13 @@ def _first_touch_off_axis(front: Any, back: Any, low: float, high: float) -> flo
 
 
 def farthest_mm(surface: Any, radius: float) -> float:
-    """Return a bound of how far a surface reaches from its vertex along its axis, mm.
+    """Return a bound of the distance of a surface from its vertex plane, along its axis, mm.
 
     Parameters
     ----------
     surface : SURFACE record
     radius : float, mm
-        Of the part of the surface that counts.
+        Part of the surface that counts.
     """
     bend = float(_bend(with_bends(surface, radius), np.array([radius]))[0])
     return 0.5 * bend * radius**2 if bend > 0.0 else 0.0
@@ -182,9 +183,9 @@ def farthest_mm(surface: Any, radius: float) -> float:
 def _heights(
     one: Any, other: Any, sense: float, middles: Array, half: float, ends: tuple[float, float]
 ) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Return heights (k,) at the middles of squares, where they are inside both apertures, and bounds of the largest.
+    """Return heights (k,) at the middles of squares, whether they are inside both apertures, and bounds of the heights.
 
-    A middle beyond an aperture is moved to its edge, from which all points of the square inside it are no farther.
+    A middle beyond an aperture is moved to its edge; no point of the square inside is farther from there.
 
     Parameters
     ----------
@@ -224,12 +225,12 @@ def _heights(
 
 
 def _clipped(points: Array, radius: float) -> Array:
-    """Return points (k, 2) moved towards the axis into a circle."""
+    """Move points (k, 2) towards the axis into a circle."""
     r = np.hypot(*points.T)
     return np.asarray(points * np.minimum(1.0, np.divide(radius, r, out=np.ones_like(r), where=r > 0.0))[:, None])
 
 
 def _bend(surface: Any, radius: Array) -> Array:
-    """Return bounds (k,) of the second derivatives of z, in any direction, inside circles of given radii (k,)."""
+    """Return bounds (k,) of the magnitude of the second derivatives of z inside circles of radii (k,)."""
     least, most = bends_between(surface, np.zeros(len(radius)), radius)
     return np.maximum(-least, most)

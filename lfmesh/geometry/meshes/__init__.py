@@ -1,1 +1,1 @@
-"""Triangle meshes: facets, curved patches, normals, inside and outside."""
+"""Triangle meshes: facets, curved patches, normals, point-in-body tests."""

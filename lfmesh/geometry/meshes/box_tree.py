@@ -1,4 +1,4 @@
-"""Full binary trees of boxes: node n has the nodes 2 n and 2 n + 1 below it, the root is 1."""
+"""Full binary trees of boxes: node n has the children 2 n and 2 n + 1; the root is node 1."""
 
 from typing import NamedTuple
 
@@ -10,28 +10,28 @@ from lfmesh.kernels.decorators import inlined
 
 
 class BoxTree(NamedTuple):
-    """Boxes of a tree, and what its leaves hold."""
+    """Boxes of a tree, and the contents of its leaves."""
 
     low: Array  # (2 · leaves, 3) mm
     high: Array
-    order: NDArray[np.int64]  # (leaves · size,) numbers of the things, leaf by leaf; some of them twice, to fill these
+    order: NDArray[np.int64]  # (leaves · size,) numbers of the items, leaf by leaf; some twice, to fill the leaves
     leaves: int  # a power of two
-    size: int  # things of a leaf
+    size: int  # items per leaf
 
 
 def box_tree(low: Array, high: Array, middles: Array, largest_leaf: int, margin: float) -> BoxTree:
-    """Return a tree of things that have boxes; there is at least one.
+    """Return a tree of items with boxes; there must be at least one item.
 
     Parameters
     ----------
     low, high : (n, 3) float64, mm
         Corners of the boxes.
     middles : (n, 3) float64, mm
-        Points by which neighbours come into one leaf.
+        Points that group neighbours into leaves.
     largest_leaf : int
-        Most things of a leaf.
+        Most items per leaf.
     margin : float
-        By how much the tree's boxes are larger than the things, over the size of the largest leaf.
+        Enlargement of the tree's boxes, over the size of the largest leaf.
     """
     leaves = 1 << max(0, int(np.ceil(np.log2(len(low) / largest_leaf))))
     size = -(-len(low) // leaves)
@@ -50,19 +50,14 @@ def box_tree(low: Array, high: Array, middles: Array, largest_leaf: int, margin:
 
 @inlined
 def next_node(node: int) -> int:
-    """Return the next node of a tree that is not below a node; 0: there is none.
-
-    Parameters
-    ----------
-    node : int
-    """
+    """Return the next node of the depth-first order that is not below a node; 0 if there is none."""
     while node & 1:
         node >>= 1
     return node + 1 if node > 0 else 0
 
 
 def _in_leaves(middles: Array, leaves: int, size: int) -> NDArray[np.int64]:
-    """Return the order that puts neighbours into one leaf: each node's widest axis parts it in the middle."""
+    """Return the order that groups neighbours into leaves: each node is split in half along its widest axis."""
     order = np.resize(np.arange(len(middles)), leaves * size)
     nodes = 1
     while nodes < leaves:

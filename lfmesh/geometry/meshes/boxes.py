@@ -1,4 +1,4 @@
-"""Boxes that a line is tested against, as the trees of facets, of patches and of round faces do."""
+"""Intersection of lines with boxes, for the trees of facets, patches and round faces."""
 
 import numpy as np
 
@@ -9,15 +9,16 @@ from lfmesh.kernels.decorators import inlined, kernel
 
 @inlined
 def part_inside(rate: float, room: float, first: float, last: float) -> tuple[float, float]:
-    """Return the part of a line between two distances that lies inside a plane: where rate · t ≤ room.
+    """Clip a line to a half-space, rate · t ≤ room.
 
     Parameters
     ----------
     rate : float
-        At which the line comes nearer to the plane, over the distance along it.
+        Approach to the plane per distance along the line.
     room : float, mm
-        From the start of the line to the plane.
+        Distance from the start of the line to the plane.
     first, last : float, mm
+        Ends of the line before the clip.
     """
     if rate > 0.0:
         last = min(last, room / rate)
@@ -30,12 +31,7 @@ def part_inside(rate: float, room: float, first: float, last: float) -> tuple[fl
 
 @inlined
 def slopes_of(ray: Ray) -> tuple[float, float, float]:
-    """Return the distances by which a ray advances along the axes by one, as `meets_box` takes them.
-
-    Parameters
-    ----------
-    ray : Ray
-    """
+    """Return the distances along a ray for an advance of one along each axis, as used by `meets_box`."""
     return 1.0 / ray.dx, 1.0 / ray.dy, 1.0 / ray.dz
 
 
@@ -61,7 +57,7 @@ def meets_box(
 
 @inlined
 def _within(low: float, high: float, slope: float, begin: float, end: float) -> tuple[float, float]:
-    """Return the part of a line that lies between two planes of a box; in the plane of a side it counts as between."""
+    """Clip a line to the slab between two planes of a box; a line in one of the planes counts as inside."""
     a, b = low * slope, high * slope
     if slope < 0.0:
         a, b = b, a
@@ -70,7 +66,7 @@ def _within(low: float, high: float, slope: float, begin: float, end: float) -> 
 
 @kernel
 def box_entry(low: Array, high: Array, ray: Ray) -> float:
-    """Return the distance at which a ray enters a box: 0 from inside, inf if it misses.
+    """Return the distance to the entry of a ray into a box: 0 from inside, inf if it misses.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""Crossings of meshes: the segments in which facets meet, and the parts into which closed shells divide a surface.
+"""Crossings of meshes: intersection segments of facets, and the parts of a surface inside and outside closed shells.
 
-Two facets that do not lie in one plane meet in a segment (T. Möller, "A fast triangle-triangle intersection test",
-Journal of Graphics Tools 2(2) (1997) 25-30). A corner that lies in the plane of the other facet counts as in front of
-it, for all facets round it alike, so that no crossing slips through an edge or a corner. The segments in a facet divide
-it into parts. A part that is not the whole facet has a piece of a segment on its border, so that points beside all
-pieces, and one in each facet that nothing crosses, find all parts.
+Two facets that are not coplanar meet in a segment (T. Möller, "A fast triangle-triangle intersection test", Journal of
+Graphics Tools 2(2) (1997) 25-30). A corner in the plane of the other facet counts as in front of it, for all facets
+around the corner alike, so that no crossing slips through an edge or a corner. Segments divide facets into parts, and
+each part is bordered by a piece of a segment. All parts are therefore sampled by points beside all pieces, and one
+point in each facet without a segment.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,23 +22,23 @@ from lfmesh.kernels.decorators import kernel
 Index = NDArray[np.int64]
 
 AT_ONCE = 1 << 16
-"""Pairs of facets whose boxes are compared at a time; larger sets are halved."""
+"""Pairs of facets with boxes compared at a time; larger sets are halved."""
 
 BESIDE = 4.0
-"""Distance from a segment of the points beside it, in the distance within which surfaces touch."""
+"""Distance of sample points from their segment, in units of the distance within which surfaces touch."""
 
 BEHIND = 3.0
-"""Distance of what is just behind a surface, in the distance within which surfaces touch."""
+"""Distance by which a surface is set back, in units of the distance within which surfaces touch."""
 
 ROUNDINGS = 32.0
-"""Roundings of the coordinates within which two facets lie in one plane: the line where those planes meet is noise."""
+"""Roundings of the coordinates within which two facets are coplanar: the intersection of their planes is noise."""
 
 AWAY = np.array([3.0, 5.0, 7.0]) / np.sqrt(83.0)
-"""Direction of the lines that tell whether a point is in a shell: along no face of a box that stands upright."""
+"""Direction of the test lines for points in a shell: parallel to no face of an upright box."""
 
 
 class Segments(NamedTuple):
-    """Segments in which facets of two meshes cross."""
+    """Intersection segments of the facets of two meshes."""
 
     own: Index  # (n,) number of the facet of the first mesh
     other: Index  # (n,) number of the facet of the second
@@ -46,7 +46,7 @@ class Segments(NamedTuple):
 
 
 def near_pairs(one: Array, other: Array) -> Index:
-    """Return the pairs (k, 2) of facets of two meshes whose boxes meet.
+    """Return the pairs (k, 2) of facets of two meshes with overlapping boxes.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def near_pairs(one: Array, other: Array) -> Index:
 
 
 def _halves(middles: Array, some: Index) -> Iterator[Index]:
-    """Yield two halves of some facets, on either side of a plane across the longest extent of their middles."""
+    """Yield two halves of some facets, divided across the longest extent of their middles."""
     own = middles[some]
     order = np.argsort(own[:, int(np.ptp(own, axis=0).argmax())], kind="stable")
     yield some[order[: len(some) // 2]]
@@ -83,14 +83,14 @@ def _halves(middles: Array, some: Index) -> Iterator[Index]:
 
 
 def _normals(corners: Array) -> Array:
-    """Return the unit normals of facets, (n, 3); zero for one without area."""
+    """Return the unit normals (n, 3) of facets; zero for a facet without area."""
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     return np.divide(cross, length, out=np.zeros_like(cross), where=length > 0.0)
 
 
 def segments(one: Array, other: Array) -> Segments:
-    """Return the segments in which facets of two meshes cross; of facets in one plane there are none.
+    """Return the intersection segments of the facets of two meshes; coplanar facets have none.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def segments(one: Array, other: Array) -> Segments:
 
 
 def _in_plane(corners: Array, height: Array) -> Array:
-    """Return the two points, (n, 2, 3), at which edges of facets pass a plane, from the heights of their corners."""
+    """Return the two intersections (n, 2, 3) of a facet's edges with a plane, from the heights of its corners."""
     above = height >= 0.0
     alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
     rows = np.arange(len(corners))
@@ -136,19 +136,12 @@ def _in_plane(corners: Array, height: Array) -> Array:
 
 
 def set_back(corners: Array, near_mm: float) -> Array:
-    """Return facets moved behind themselves, or in front for a negative distance, clear of what they touch.
-
-    Parameters
-    ----------
-    corners : (n, 3, 3) float64, mm
-    near_mm : float
-        Distance within which surfaces touch.
-    """
+    """Move facets (n, 3, 3) behind themselves, clear of surfaces within `near_mm`; in front if it is negative."""
     return np.asarray(corners - BEHIND * near_mm * _normals(corners)[:, None])
 
 
 def parts_in_shells(own: Array, shells: Sequence[Array], near_mm: float) -> tuple[NDArray[np.bool_], Array]:
-    """Return which of some closed shells the parts of a surface are in, and a point of a part of each combination.
+    """Return the combinations of closed shells that contain parts of a surface, and a point for each combination.
 
     Parts that lie on a shell, or reach less than `near_mm` into it, are left out.
 
@@ -189,7 +182,7 @@ def parts_in_shells(own: Array, shells: Sequence[Array], near_mm: float) -> tupl
 
 
 def _membership(solids: Sequence["Solid"], places: Array) -> NDArray[np.bool_]:
-    """Return which solids points are in, (n, solids)."""
+    """Tell which solids contain each point, (n, solids)."""
     return np.stack([solid.holds(places) for solid in solids], axis=1)
 
 
@@ -202,9 +195,9 @@ def _deep_place(
     ----------
     solids : sequence of Solid
     row : (solids,) bool
-        Which of them the places are in.
+        Solids that contain the places.
     places, off : (n, 3) float64, mm
-        Points of the surface, and by how much they are moved.
+        Points of the surface, and offsets to either side.
     some : (m,) int64
         Numbers of the places.
     """
@@ -219,7 +212,7 @@ def _deep_place(
 
 
 def _pieces(facet: Index, owner: Index, ends: Array, normals: Array) -> tuple[Index, Array]:
-    """Return the facets and ends (n, 2, 3) of segments that are cut where those of other shells cross them."""
+    """Cut segments where segments of other shells cross them; return the facets and the ends (n, 2, 3)."""
     numbers, cut = [np.zeros(0, np.int64)], [np.zeros((0, 2, 3))]
     order = np.argsort(facet, kind="stable")
     for some in np.split(order, np.flatnonzero(np.diff(facet[order])) + 1):
@@ -245,11 +238,11 @@ def _pieces(facet: Index, owner: Index, ends: Array, normals: Array) -> tuple[In
 
 
 def _beside(own: Array, normals: Array, facet: Index, ends: Array, distance: float) -> tuple[Index, Array]:
-    """Return points on both sides of segments in facets, (n, 3), as far as they are in the facet, and the facets."""
+    """Return points (n, 3) on both sides of segments, if inside the segment's facet, and their facets."""
     way = ends[:, 1] - ends[:, 0]
     across = np.cross(normals[facet], way)
     length = np.linalg.norm(across, axis=1)
-    # A segment may end where another one crosses it: the piece between has no sides.
+    # A segment may end where another one crosses it; the piece between has no length.
     facet, ends, across = facet[length > 0.0], ends[length > 0.0], across[length > 0.0] / length[length > 0.0, None]
     middle = 0.5 * (ends[:, 0] + ends[:, 1])
     places = np.concatenate([middle + distance * across, middle - distance * across])
@@ -262,7 +255,7 @@ def _beside(own: Array, normals: Array, facet: Index, ends: Array, distance: flo
 
 
 class Solid:
-    """A closed shell that tells which points it holds.
+    """A closed shell, for point-in-body tests.
 
     Parameters
     ----------

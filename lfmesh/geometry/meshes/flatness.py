@@ -1,4 +1,4 @@
-"""Flatness of meshes: the plane that all facets share, if there is one."""
+"""Flatness test of meshes."""
 
 from collections.abc import Iterable
 
@@ -9,16 +9,15 @@ from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN
 
 
 def in_one_plane(meshes: Iterable[Mesh]) -> bool:
-    """Tell whether facets all lie in one plane, to the rounding of their coordinates; true of no facets.
+    """Tell whether all facets lie in the plane of the largest, to the rounding of coordinates; true without facets.
 
-    Light that leaves a flat mesh never meets it again. The plane is that of the largest facet. Files hold coordinates
-    in float32, so each corner may stand off the plane by that rounding of the extent of the mesh. Coordinates are
-    moved in float64 afterwards, which leaves a rounding of their own size.
+    Light that leaves a flat mesh never meets it again. Files hold float32 coordinates, so a corner may be off the plane
+    by the float32 rounding of the mesh's extent, plus the float64 rounding of later transformations.
 
     Parameters
     ----------
     meshes : iterable of Mesh
-        Vertices of no facet count, too.
+        Vertices without a facet count too.
     """
     parts = [mesh for mesh in meshes if len(mesh.faces)]
     if not parts:

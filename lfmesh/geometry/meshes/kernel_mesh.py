@@ -1,7 +1,7 @@
-"""Mend the facets that a CAD kernel makes of faces with a pole, as of curves that are turned about an axis.
+"""Repair of facets that a CAD kernel makes of faces with a pole, such as surfaces of revolution.
 
-Where such a curve meets its axis, OpenCASCADE may give the normal of the pole the wrong sense, and join three points of
-one meridian by a facet that stands on edge in the surface.
+At the intersection of a generating curve with its axis, OpenCASCADE may reverse the normal of the pole. It may also
+join three points of one meridian into a facet that stands on edge in the surface.
 """
 
 import numpy as np
@@ -11,25 +11,25 @@ from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_normals
 from lfmesh.geometry.meshes.vertex_normals import edge_partners
 
 ON_EDGE = 0.5
-"""Cosine between a facet and the normals at its corners below which it stands on edge."""
+"""Cosine of the angle between a facet's normal and its corner normals below which the facet stands on edge."""
 
 NARROW = 0.02
-"""Height over length of a facet, at most, that is taken for three points of one line."""
+"""Largest ratio of height to length of a facet that counts as three points of one line."""
 
 SAME_FACE = 0.01
-"""Difference of the normals at a corner of two facets up to which they belong to one face."""
+"""Largest difference between the normals of two facets at a corner for them to belong to one face."""
 
 MOST_ROUNDS = 8
-"""Of facets on edge beside facets on edge."""
+"""Most passes over facets on edge with neighbours on edge."""
 
 
 def mended(mesh: Mesh) -> Mesh:
-    """Return a closed mesh with the normals of its poles turned and facets on edge laid flat.
+    """Return a closed mesh with the normals of its poles corrected and facets on edge laid flat.
 
     Parameters
     ----------
     mesh : Mesh
-        Welded; without corner normals it is returned as it is.
+        Welded. Without corner normals it is returned unchanged.
     """
     if mesh.corner_normals is None:
         return mesh
@@ -45,10 +45,10 @@ def mended(mesh: Mesh) -> Mesh:
 def _laid_flat(
     vertices: Array, faces: NDArray[np.int64], normals: Array
 ) -> tuple[NDArray[np.int64], Array] | None:  # fmt: skip
-    """Return facets and corner normals with facets on edge joined to their neighbours; None where there are none.
+    """Return facets and corner normals with facets on edge laid flat; None if there are none.
 
-    The longest edge of such a facet is one that its middle corner lies on. The facet beyond that edge is divided at
-    this corner instead.
+    The middle corner of such a facet lies on its longest edge. The facet beyond that edge is divided at this corner
+    instead.
     """
     own, area2 = facet_normals(Mesh(vertices, faces, None))
     corner = vertices[faces]
@@ -86,7 +86,7 @@ def _laid_flat(
 
 
 def _with_poles_turned(mesh: Mesh, normals: Array) -> Array:
-    """Return corner normals with those replaced that look to the wrong side of all facets round their vertex."""
+    """Return corner normals, replaced at vertices where they point to the back of all facets around."""
     own, area2 = facet_normals(mesh)
     behind = (normals * own[:, None]).sum(axis=2) <= 0.0
     everywhere = np.ones(len(mesh.vertices), dtype=bool)

@@ -1,4 +1,4 @@
-"""The levels of `surface`: what a facet stands for, by name and as the kernels' numbers."""
+"""The levels of `surface`, by name and by the kernels' numbers: the shape that a facet stands for."""
 
 FLAT, SMOOTH, PATCH, EXACT = 0, 1, 2, 3
 

@@ -1,8 +1,7 @@
 """Triangle meshes in float64, and the facet table that the kernels read.
 
-`Mesh` is deliberately thin: trimesh objects are made from it for export and checks, the float32 copy for Embree is
-made from it, and the facets' planes, edges and corner normals are tabulated from it without a rounding in between.
-trimesh takes half a second to load, so every module does that only where it is asked for: rays do not need it.
+`Mesh` is deliberately thin. It is converted to trimesh objects for export and checks, and to float32 for Embree.
+Modules import trimesh only on use, since it takes half a second to load.
 """
 
 from collections.abc import Iterable
@@ -24,7 +23,7 @@ FACET = np.dtype(
         ("normal", "f8", (3,)),  # unit, from the winding
         ("offset", "f8"),  # normal · any point of the plane
         ("size", "f8"),  # longest edge
-        ("body", "i8"),  # what the facet belongs to; the table's owner says what the number means
+        ("body", "i8"),  # body of the facet; the owner of the table defines the number
         ("corners", "f8", (3, 3)),
         ("corner_normals", "f8", (3, 3)),
     ]
@@ -33,9 +32,9 @@ FACET = np.dtype(
 
 @dataclass(frozen=True)
 class Mesh:
-    """Vertices (n, 3) float64 mm, faces (m, 3), corner_normals (m, 3, 3) of what the mesh stands for, where known.
+    """Vertices (n, 3) float64 mm, faces (m, 3), and corner normals (m, 3, 3) of the surface it stands for, if known.
 
-    Its arrays are not written to once it is made: what follows from them is computed once, see `facet_normals`.
+    Do not write to its arrays: derived values are computed once, see `facet_normals`.
     """
 
     vertices: Array
@@ -44,7 +43,7 @@ class Mesh:
 
     @cached_property
     def _measures(self) -> tuple[Array, Array, Array]:
-        """Unit normals (m, 3), areas in mm² and longest edges in mm, (m,): from one pass, coordinate by coordinate."""
+        """Unit normals (m, 3), areas in mm² and longest edges in mm, (m,), from one pass over the coordinates."""
         corners, axes = np.ascontiguousarray(self.faces.T), np.ascontiguousarray(self.vertices.T)
         edges = [[axis[b] - axis[a] for axis in axes] for a, b in (corners[:2], corners[::2], corners[1:])]
         longest = np.sqrt(np.maximum.reduce([x * x + y * y + z * z for x, y, z in edges]))
@@ -58,7 +57,7 @@ class Mesh:
         return cross, areas, longest
 
     def moved(self, through: Array) -> "Mesh":
-        """Return the mesh seen through a frame; a reflecting frame turns the winding, so outward stays outward."""
+        """Return the mesh transformed by a frame; a reflection reverses the winding, so that outward stays outward."""
         linear = through[:, :3]
         faces, normals = self.faces, self.corner_normals
         if normals is not None:
@@ -69,7 +68,7 @@ class Mesh:
         return Mesh(self.vertices @ linear.T + through[:, 3], faces, normals)
 
     def flipped(self) -> "Mesh":
-        """Return the mesh with every face looking the other way."""
+        """Return the mesh with all faces reversed."""
         normals = -self.corner_normals[:, ::-1] if self.corner_normals is not None else None
         return Mesh(self.vertices, self.faces[:, ::-1], normals)
 
@@ -81,7 +80,7 @@ class Mesh:
 
 
 def joined(meshes: Iterable[Mesh]) -> Mesh:
-    """Return all meshes as one; facet numbers follow the order given."""
+    """Return all meshes as one; facets keep the given order."""
     parts = list(meshes)
     starts = np.cumsum([0, *(len(m.vertices) for m in parts)])
     with_normals = [m.corner_normals for m in parts]
@@ -99,39 +98,33 @@ def joined(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def boxes_meet(one: Mesh, other: Mesh, within: float) -> bool:
-    """Tell whether the boxes round two meshes come within a distance of each other, mm.
-
-    Parameters
-    ----------
-    one, other : Mesh
-    within : float, mm
-    """
+    """Tell whether the boxes of two meshes come within a distance, mm, of each other."""
     low = np.maximum(one.vertices.min(axis=0), other.vertices.min(axis=0))
     high = np.minimum(one.vertices.max(axis=0), other.vertices.max(axis=0))
     return bool((low <= high + within).all())
 
 
 def facet_normals(mesh: Mesh) -> tuple[Array, Array]:
-    """Return (m, 3) unit normals and (m,) areas in mm², both read-only; a facet without area has a zero normal."""
+    """Return unit normals (m, 3) and areas (m,) in mm², both read-only; a facet without area has a zero normal."""
     return mesh._measures[:2]
 
 
 def longest_edges(mesh: Mesh) -> Array:
-    """Return the (m,) longest edges of the facets, mm, read-only."""
+    """Return the longest edge of each facet, (m,) mm, read-only."""
     return mesh._measures[2]
 
 
 def facet_corner_normals(mesh: Mesh) -> Array:
-    """Return (m, 3, 3) corner normals of a faceted body: its facets' own."""
+    """Return the facet normals as corner normals (m, 3, 3), for a faceted body."""
     return np.repeat(facet_normals(mesh)[0][:, None, :], 3, axis=1)
 
 
 def facet_table(mesh: Mesh, bodies: NDArray[np.int64]) -> NDArray[np.void]:
-    """Return the (m,) `FACET` table of a mesh whose facets belong to `bodies` (m,)."""
+    """Return the `FACET` table (m,) of a mesh; `bodies` (m,) are the numbers of the facets' bodies."""
     table = np.empty(len(mesh.faces), FACET)
     corner, normals = mesh.vertices[mesh.faces], facet_normals(mesh)[0]
     table["normal"] = normals
-    # The corner nearest the plane's foot would be as good; the mean of the three halves the rounding.
+    # Any corner would do; the mean of the three halves the rounding.
     table["offset"] = np.einsum("ij,ikj->i", normals, corner) / 3.0
     table["size"] = longest_edges(mesh)
     table["body"] = bodies
@@ -141,7 +134,7 @@ def facet_table(mesh: Mesh, bodies: NDArray[np.int64]) -> NDArray[np.void]:
 
 
 def distance_mm(corners: Array, point: Array) -> float:
-    """Return the distance of a point from the nearest of some facets, in mm.
+    """Return the distance of a point from the nearest of some facets, mm.
 
     Parameters
     ----------
@@ -155,7 +148,7 @@ def distance_mm(corners: Array, point: Array) -> float:
 
 
 def distance_of_segment_mm(corners: Array, start: Array, end: Array) -> float:
-    """Return the distance of a segment from the nearest of some facets, in mm: 0 where it passes through one.
+    """Return the distance of a segment from the nearest of some facets, mm; 0 if it passes through one.
 
     Parameters
     ----------
@@ -170,7 +163,7 @@ def distance_of_segment_mm(corners: Array, start: Array, end: Array) -> float:
     way = end - start
     for k in range(3):
         edge, from_start = corners[:, (k + 1) % 3] - corners[:, k], corners[:, k] - start
-        # Where the lines of both are nearest; the ends of either are compared beside it.
+        # Closest points of the two lines; the ends of both are compared as well.
         a, b, c = float(way @ way), edge @ way, np.einsum("ij,ij->i", edge, edge)
         d, e = from_start @ way, np.einsum("ij,ij->i", from_start, edge)
         scale = a * c - b * b
@@ -183,7 +176,7 @@ def distance_of_segment_mm(corners: Array, start: Array, end: Array) -> float:
 
 
 def crossings(corners: Array, start: Array, end: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the share of a segment at which it meets the plane of each facet, and whether it meets the facet there.
+    """Intersect a segment with the planes of facets: return its fraction at each, and whether it meets the facet there.
 
     Parameters
     ----------
@@ -193,13 +186,13 @@ def crossings(corners: Array, start: Array, end: Array) -> tuple[Array, NDArray[
     Returns
     -------
     shares : (n,) float64
-        nan where it is parallel.
+        nan for parallel planes.
     inside : (n,) bool
-        Facets with their borders; False where the segment lies in the plane.
+        Borders count as inside; False if the segment lies in the plane.
     """
     way = end - start
     a, b, c = np.moveaxis(corners, 1, 0)
-    # Moeller and Trumbore 1997: shares of the edges, and of the way.
+    # Möller and Trumbore 1997: fractions of the two edges and of the segment.
     across = np.cross(way, c - a)
     scale = np.einsum("ij,ij->i", b - a, across)
     with np.errstate(divide="ignore", invalid="ignore"):

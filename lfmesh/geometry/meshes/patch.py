@@ -1,12 +1,12 @@
-"""Curved facets: the quadratic patch through a triangle's corners that has their normals, and where a ray meets it.
+"""Curved facets: the quadratic patch through a triangle's corners and normals, and its intersection with a ray.
 
 T. Nagata, "Simple local interpolation of surfaces using normal vectors", Computer Aided Geometric Design 22 (2005)
-327-347. Each edge becomes the parabola of least curvature square to both end normals; the patch is the quadratic
+327-347. Each edge becomes the parabola of least curvature perpendicular to both end normals; the patch is the quadratic
 through the three of them,
 
     x(η, ζ) = c₀₀ + c₁₀ η + c₀₁ ζ + c₁₁ η ζ + c₂₀ η² + c₀₂ ζ²,   0 ≤ ζ ≤ η ≤ 1,
 
-with corners x(0, 0), x(1, 0), x(1, 1). Neighbours share their edge's parabola, so patches join without a gap.
+with corners x(0, 0), x(1, 0), x(1, 1). Neighbours share the parabola of their edge, so patches join without a gap.
 """
 
 import numpy as np
@@ -23,13 +23,13 @@ Array = NDArray[np.float64]
 NEWTON_STEPS = 12
 
 SETTLED = 1e-8
-"""Newton step, in units of the patch, after which the root is as good as float64 has it."""
+"""Newton step, in units of the patch, below which the root is as exact as float64 allows."""
 
 
 def edge_curvature(start: Array, end: Array, start_normal: Array, end_normal: Array) -> Array:
-    """Return the (n, 3) second-order coefficient c of the curves x(t) = start + (d − c) t + c t² along edges d.
+    """Return the second-order coefficient c (n, 3) of the curves x(t) = start + (d − c) t + c t² along edges d.
 
-    Where the normals agree the edge stays straight, whatever angle it makes with them (Nagata, section 3).
+    If the normals agree, the edge stays straight, whatever its angle to them (Nagata, section 3).
 
     Parameters
     ----------
@@ -49,12 +49,12 @@ def edge_curvature(start: Array, end: Array, start_normal: Array, end_normal: Ar
 
 
 def patches(corners: Array, corner_normals: Array) -> Array:
-    """Return the (m, 6, 3) coefficients c₀₀, c₁₀, c₀₁, c₁₁, c₂₀, c₀₂ of every facet.
+    """Return the coefficients c₀₀, c₁₀, c₀₁, c₁₁, c₂₀, c₀₂ of every facet, (m, 6, 3) mm.
 
     Parameters
     ----------
     corners, corner_normals : (m, 3, 3) float64
-        Unit normals; they may differ between the facets round a vertex, which makes a crease.
+        Unit normals; facets that differ in the normal at a vertex make a crease.
     """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     na, nb, nc = corner_normals[:, 0], corner_normals[:, 1], corner_normals[:, 2]
@@ -63,14 +63,13 @@ def patches(corners: Array, corner_normals: Array) -> Array:
 
 
 def patch_points(coefficients: Array, eta: Array, zeta: Array) -> tuple[Array, Array]:
-    """Return the (m, q, 3) points and unit normals of all patches at q places (η, ζ).
+    """Return the points and unit normals (m, q, 3) of all patches at q parameters (η, ζ).
 
     Parameters
     ----------
     coefficients : (m, 6, 3) float64, mm
-        Of the patches.
     eta, zeta : (q,) or (m, q) float64
-        From 0 to 1; the same places on all patches, or places of each patch's own.
+        From 0 to 1; common to all patches, or for each patch.
     """
     one = np.ones_like(eta)
     basis = np.stack([one, eta, zeta, eta * zeta, eta * eta, zeta * zeta])
@@ -86,14 +85,14 @@ def patch_points(coefficients: Array, eta: Array, zeta: Array) -> tuple[Array, A
 
 
 def neighbours(faces: Index, corner_normals: Array) -> NDArray[np.int64]:
-    """Return the (m, 3) facet across the edges ab, bc and ca of each facet; −1 at a rim or a crease.
+    """Return the facet across the edges ab, bc and ca of each facet, (m, 3); −1 at a rim or a crease.
 
     Parameters
     ----------
     faces : (m, 3)
-        Corners by vertex number; facets that share an edge share its two numbers.
+        Corners by vertex number; facets that share an edge share both vertices.
     corner_normals : (m, 3, 3)
-        Where they differ on the two sides of an edge there is a crease, and what lies across is another surface.
+        If they differ across an edge, it is a crease, with another surface beyond.
     """
     first, second = edge_partners(faces)
     across = np.full(3 * len(faces), -1, np.int64)
@@ -110,12 +109,12 @@ def neighbours(faces: Index, corner_normals: Array) -> NDArray[np.int64]:
 def patch_point(
     patch: Array, eta: float, zeta: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Return a patch's point and its derivatives by η and ζ.
+    """Return a patch's point and its derivatives with respect to η and ζ.
 
     Parameters
     ----------
     patch : (6, 3) float64, mm
-        Its coefficients.
+        Coefficients.
     eta, zeta : float
     """
     x = (
@@ -144,18 +143,17 @@ def patch_point(
 
 @kernel
 def on_patch(patch: Array, ray: Ray, eta: float, zeta: float) -> tuple[bool, float, float, float]:
-    """Find by Newton's method where a ray meets the endless patch: whether it does, and t, η, ζ there.
+    """Intersect a ray with the unbounded patch by Newton's method: return whether it meets it, and t, η, ζ.
 
-    Two equations, that the patch's point lies on two planes through the ray, in η and ζ, from a start near the facet.
+    The two equations in η and ζ put the patch's point on two planes through the ray.
 
     Parameters
     ----------
     patch : (6, 3) float64, mm
-        Its coefficients.
+        Coefficients.
     ray : Ray
-        A point of the ray.
     eta, zeta : float
-        Where the search starts.
+        Start of the iteration, near the facet.
     """
     x, y, z, dx, dy, dz = ray
     ux, uy, uz, vx, vy, vz = tangents(dx, dy, dz)
@@ -183,17 +181,20 @@ def on_patch(patch: Array, ray: Ray, eta: float, zeta: float) -> tuple[bool, flo
 
 
 MAX_WALK = 8
-"""Patches that a hit may be handed on through before the facet itself has to do."""
+"""Most patches that a search passes through before the facet itself is used."""
 
 INSIDE = 1e-9
-"""Largest distance of a root outside its patch, in units of the patch: rounding, which no neighbour would mend."""
+"""Largest distance of a root outside its patch, in units of the patch, that is rounding and needs no neighbour."""
 
 
 @kernel
 def hit_patch(
     patches: NDArray[np.float64], across: NDArray[np.int64], prim: int, b: float, c: float, ray: Ray
 ) -> tuple[bool, float, float, float, float]:
-    """Return whether a ray meets the curved surface near a facet, t, and the unit normal there.
+    """Intersect a ray with the curved surface near a facet: return whether it meets it, t, and the unit normal.
+
+    A root outside its patch is searched on the neighbour across that edge. At a rim, the patch is continued by up to
+    half its size, since a curved rim extends beyond its chord.
 
     Parameters
     ----------
@@ -202,10 +203,7 @@ def hit_patch(
     prim : int
         Facet that the ray crosses.
     b, c : float
-        Weights of its second and third corner there.
-
-    A root outside its patch is looked for on the neighbour across the edge it left by. Where that is a rim the patch
-    is continued by up to half its size: a curved rim stands out beyond its chord.
+        Weights of the facet's second and third corner there.
     """
     eta, zeta = b + c, c
     for _ in range(MAX_WALK):

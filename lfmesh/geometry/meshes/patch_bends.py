@@ -1,4 +1,4 @@
-"""Control points of curved patches and of parts of them, and bounds of how much patches bend over their facets."""
+"""Control points of curved patches and their parts, and bounds of the patches' second derivatives over their facets."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,30 +6,30 @@ from numpy.typing import NDArray
 from lfmesh.geometry.meshes.mesh import Array
 
 WIDER = (1.0, 1.25, 1.5, 2.0, 3.0, 5.0, 8.0)
-"""Sizes that are tried for the triangle of parameters that lies over all between a patch's edges, in the distance of
-the patch's sides from those."""
+"""Sizes tried for the triangle of parameters that covers the region between a patch's edges, in units of the largest
+distance of the patch's sides from the edges."""
 
 GENTLE = 0.05
-"""Uncertainty of a patch's bends, over the bends, up to which bounds by its form as a whole are good enough."""
+"""Relative uncertainty of a patch's second derivatives up to which bounds from the whole patch are good enough."""
 
 LARGER, LONGEST_MOVE = 0.25, (1.0 + 0.25 * 4.0 / 3.0) ** 2
-"""By how much a triangle may be larger than the facet for these bounds, and how far a patch's points then lie beside
-their places in the facet's plane, in the largest such distance of a control point."""
+"""Enlargement of the facet's triangle for these bounds, and the shift of patch points it implies, from their places in
+the facet's plane, in units of the largest shift of a control point."""
 
 UNBOUNDED = 1.5
-"""Factor on the bends of a patch where bounds cannot be had beside it, between its edges, as it folds there."""
+"""Factor on a patch's second derivatives if no bounds exist beside it, between its edges, because it folds there."""
 
 DIVISIONS = 4
-"""Times that a triangle of parameters is divided at most, where bounds do not show that the patch does not fold."""
+"""Most subdivisions of a triangle of parameters to show that the patch does not fold."""
 
 AT_ONCE = 1 << 12
-"""Triangles of parameters that are bounded at a time."""
+"""Triangles of parameters bounded at a time."""
 
 WHOLE = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)])
 """Corners of a patch by their parameters (η, ζ)."""
 
 CORNERS, ENDS = np.array([0, 1, 2, 0, 1, 2]), np.array([0, 1, 2, 1, 2, 0])
-"""Pairs of corners that the control points of a quadratic patch belong to."""
+"""Pairs of corners of the control points of a quadratic patch."""
 
 SIDES = np.array([[0, 1, 3], [1, 2, 4], [2, 0, 5]])
 """Control points of the sides ab, bc, ca of a patch."""
@@ -40,11 +40,11 @@ QUARTERS = np.array([
     [[1, 0, 1], [0, 1, 1], [0, 0, 2]],
     [[1, 1, 0], [0, 1, 1], [1, 0, 1]],
 ]) / 2.0  # fmt: skip
-"""Corners of the four triangles that the middles of its edges divide a triangle into, by weights of its corners."""
+"""Corners of the four triangles into which the edge midpoints divide a triangle, as weights of its corners."""
 
 
 def control_points(patches: Array) -> Array:
-    """Return the (m, 6, 3) control points of patches as Bézier triangles: corners, and one for each edge.
+    """Return the Bézier control points (m, 6, 3) of patches: three corners, and one for each edge.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def control_points(patches: Array) -> Array:
 
 
 def cell_control_points(patches: Array, cells: Array) -> Array:
-    """Return the (m, 6, 3) control points of parts of patches, by their polar form: corners, and one for each edge.
+    """Return the Bézier control points (m, 6, 3) of parts of patches, by their polar form.
 
     Parameters
     ----------
@@ -70,12 +70,12 @@ def cell_control_points(patches: Array, cells: Array) -> Array:
 
 
 def cell_tangents(patches: Array, cells: Array) -> tuple[Array, Array]:
-    """Return the derivatives of patches by η and ζ at the corners of cells, (m, 3, 3) each; between them it is linear.
+    """Return the derivatives of patches by η and ζ at the corners of cells, (m, 3, 3) each; they are linear between.
 
     Parameters
     ----------
     patches, cells
-        As for `cell_control_points`.
+        See `cell_control_points`.
     """
     eta, zeta = cells[..., :1], cells[..., 1:]
     by_eta = patches[:, None, 1] + 2.0 * eta * patches[:, None, 4] + zeta * patches[:, None, 3]
@@ -84,7 +84,7 @@ def cell_tangents(patches: Array, cells: Array) -> tuple[Array, Array]:
 
 
 def normal_control_vectors(by_eta: Array, by_zeta: Array) -> Array:
-    """Return the (m, 6, 3) control vectors of the normals of cells, which are quadratic before they have unit length.
+    """Return the control vectors (m, 6, 3) of the unnormalised normals of cells, which are quadratic.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def normal_control_vectors(by_eta: Array, by_zeta: Array) -> Array:
 
 
 def tops(outward: Array, control: Array) -> Array:
-    """Return how far sides of patches reach along directions in their facets' planes, (m, directions, sides) mm.
+    """Return the maximum of the sides of patches along directions in their facets' planes, (m, directions, sides) mm.
 
     Parameters
     ----------
@@ -121,11 +121,11 @@ def bends_of(
         Coefficients of the patches in the frames of their facets; see `patch_tree.CURVED`.
     inverse : (m, 2, 2) float64
     edges : (m, 3, 3) float64
-        As in `patch_tree.CURVED`.
+        See `patch_tree.CURVED`.
     hull : (m, 6, 3) float64, mm
         Control points in the frames of the facets.
     usable : (m,) bool
-        Patches that are looked at.
+        Patches to examine.
     """
     least, most, gentle = _gentle_bends(shape, inverse, edges, hull)
     usable = usable.copy()
@@ -141,17 +141,17 @@ def bends_of(
 
 
 def _gentle_bends(shape: Array, inverse: Array, edges: Array, hull: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return bounds of the second derivatives of patches that hardly turn, and which these are.
+    """Return bounds of the second derivatives of patches that hardly turn, and which patches these are.
 
-    Over a place p of its facet's plane a patch has a point x = p + B(p), and a height w(p), both quadratic. All between
-    the edges is the image of a triangle that is larger than the facet: by more than the edges and |B| reach beyond its
-    sides. With |∂B/∂p| ≤ ε < 1 there x is a map one to one, ∂p/∂x differs from 1 by at most e = ε / (1 − ε), and the
-    second derivatives by x from those by p, which are constant, by at most |w″| (2 e + e²) + (1 + e)³ |w′| |B″|.
+    Over a place p in its facet's plane a patch has a point x = p + B(p) and a height w(p), both quadratic. The region
+    between the edges is the image of an enlarged facet; the enlargement allows for the reach of the edges and of |B|
+    beyond the sides. If |∂B/∂p| ≤ ε < 1 there, x is one-to-one and ∂p/∂x differs from 1 by at most e = ε / (1 − ε). The
+    second derivatives by x then differ from the constant ones by p by at most |w″| (2 e + e²) + (1 + e)³ |w′| |B″|.
 
     Parameters
     ----------
     shape, inverse, edges, hull
-        As for `bends_of`.
+        See `bends_of`.
     """
     along_eta, along_zeta, mixed, eta2, zeta2 = np.ascontiguousarray(np.moveaxis(shape[:, 1:], 0, 2))
     (ax, ay), (bx, by) = np.ascontiguousarray(np.moveaxis(inverse, 0, 2))
@@ -159,7 +159,7 @@ def _gentle_bends(shape: Array, inverse: Array, edges: Array, hull: Array) -> tu
         xx = 2.0 * (eta2 * (ax * ax) + mixed * (ax * bx) + zeta2 * (bx * bx))
         yy = 2.0 * (eta2 * (ay * ay) + mixed * (ay * by) + zeta2 * (by * by))
         xy = 2.0 * (eta2 * (ax * ay) + zeta2 * (bx * by)) + mixed * (ax * by + ay * bx)
-        # Derivatives at the middle of the facet, where η = 2/3 and ζ = 1/3.
+        # Derivatives at the middle of the facet, η = 2/3 and ζ = 1/3.
         by_eta, by_zeta = along_eta + (4.0 * eta2 + mixed) / 3.0, along_zeta + (2.0 * mixed + 2.0 * zeta2) / 3.0
         by_x, by_y = by_eta * ax + by_zeta * bx, by_eta * ay + by_zeta * by
         corners = np.ascontiguousarray(np.moveaxis(hull[..., :2], 0, 2))
@@ -183,15 +183,15 @@ def _gentle_bends(shape: Array, inverse: Array, edges: Array, hull: Array) -> tu
 
 
 def _parameters(shape: Array, edges: Array, hull: Array) -> Array:
-    """Return triangles (m, 3, 2) of parameters whose images hold all that a patch's `edges` enclose; NaN: none found.
+    """Return triangles (m, 3, 2) of parameters with images that cover the region inside a patch's `edges`; NaN if none.
 
-    The image of each side, a parabola, lies beyond an edge. So places between the edges are covered once by the
-    triangle's image, if it does not fold there.
+    The image of each side, a parabola, lies beyond an edge. The triangle's image therefore covers each place between
+    the edges once, if it does not fold there.
 
     Parameters
     ----------
     shape, edges
-        As for `bends_of`.
+        See `bends_of`.
     hull : (m, 6, 3) float64, mm
         Control points in the frames of the facets.
     """
@@ -212,16 +212,16 @@ def _parameters(shape: Array, edges: Array, hull: Array) -> Array:
 def _bends(shape: Array, cells: Array, edges: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return bounds of the second derivatives of patches' heights between their edges, and which do not fold there.
 
-    Slopes and the derivatives of the parameters are quotients of quadratics, whose control values bound them where
-    those of the denominator are positive. All have the same denominator, so that all are means of their control values
-    with the same weights, and the second derivatives are means of the products of three.
+    Slopes and the derivatives of the parameters are quotients of quadratics with one denominator, bounded by their
+    control values if those of the denominator are positive. All are means of control values with the same weights, so
+    the second derivatives are means of triple products.
 
     Parameters
     ----------
     shape, edges
-        As for `bends_of`.
+        See `bends_of`.
     cells : (m, 3, 2) float64
-        Parameters of the corners of triangles that hold all between the edges.
+        Parameters of the corners of triangles that cover the region between the edges.
     """
     least, most = np.full(len(shape), np.inf), np.full(len(shape), -np.inf)
     usable = np.asarray(np.isfinite(cells).all(axis=(1, 2)) & np.isfinite(shape).all(axis=(1, 2)))
@@ -247,13 +247,7 @@ def _bends(shape: Array, cells: Array, edges: Array) -> tuple[Array, Array, NDAr
 
 
 def _folds(shape: Array, cells: Array, edges: Array) -> NDArray[np.bool_]:
-    """Tell which patches fold at a corner of a cell that lies between their edges.
-
-    Parameters
-    ----------
-    shape, cells, edges
-        As for `_bends`.
-    """
+    """Tell which patches fold at a corner of a cell that lies between their edges; see `_bends`."""
     normal = np.cross(*cell_tangents(shape, cells))[..., 2]
     places = cell_control_points(shape, cells)[:, :3, :2]
     between = (np.einsum("mei,mci->mce", edges[..., :2], places) <= edges[:, None, :, 2]).all(axis=2)
@@ -261,12 +255,9 @@ def _folds(shape: Array, cells: Array, edges: Array) -> NDArray[np.bool_]:
 
 
 def _bends_of_cells(shape: Array, cells: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return bounds of the second derivatives of patches' heights over triangles, and which have positive denominators.
+    """Return bounds of the second derivatives over triangles, and which triangles have positive denominators.
 
-    Parameters
-    ----------
-    shape, cells
-        As for `_bends`.
+    See `_bends`.
     """
     by_eta, by_zeta = cell_tangents(shape, cells)
     normal = normal_control_vectors(by_eta, by_zeta)

@@ -1,9 +1,9 @@
-"""First crossing of a ray with curved patches themselves, in float64, through a tree of boxes.
+"""First crossing of a ray with the curved patches themselves, in float64, through a tree of boxes.
 
-The facets of a curved surface lie on its hollow side. A ray that grazes the bulging side may pass between a facet and
-its patch, and one that starts there may leave the patch without coming to the facet: queries of the facets miss both.
-A quadratic patch lies in the hull of its six control points (G. Farin, Curves and Surfaces for CAGD, 2002, chapter 17);
-inside that hull it is a height over its facet, which a ray crosses as `first_crossing` finds it.
+Facets lie on the concave side of their surface. A ray that grazes the convex side may pass between a facet and its
+patch, or leave it without reaching the facet; ray queries of the facets miss both. A quadratic patch lies in the convex
+hull of its six control points (G. Farin, Curves and Surfaces for CAGD, 2002, chapter 17). Inside this hull it is a
+height over its facet, which `first_crossing` intersects with a ray.
 """
 
 from typing import Any, NamedTuple
@@ -22,13 +22,13 @@ from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import kernel
 
 LARGEST_LEAF = 4
-"""Most patches of a leaf."""
+"""Most patches per leaf."""
 
 MARGIN = 1e-9
-"""By how much boxes and hulls are larger than their patches, over the patches' size: more than rays are rounded by."""
+"""Enlargement of boxes and hulls over the size of their patches: more than the rounding of rays."""
 
 MOST_CROSSINGS = 6
-"""Of a line and a quadratic surface: four by Bézout's theorem, and one at either end that rounding adds."""
+"""Most crossings of a line and a quadratic surface: four by Bézout's theorem, and one at either end due to rounding."""
 
 CURVED = np.dtype(
     [
@@ -49,30 +49,30 @@ CURVED = np.dtype(
 
 @by_address
 class PatchTree(NamedTuple):
-    """Curved patches in a full binary tree of boxes; node n has the nodes 2 n and 2 n + 1 below it, the root is 1."""
+    """Curved patches in a full binary tree of boxes; see `box_tree`."""
 
     low: Array  # (2 · leaves, 3) mm
     high: Array
-    patches: NDArray[np.void]  # (leaves · size,) CURVED, leaf by leaf; some of them twice, to fill the leaves
+    patches: NDArray[np.void]  # (leaves · size,) CURVED, leaf by leaf; some twice, to fill the leaves
     leaves: int  # a power of two; 0: no patches
-    size: int  # patches of a leaf
-    folded: int  # curved patches that are left out, as they fold over their facets
+    size: int  # patches per leaf
+    folded: int  # curved patches left out because they fold over their facets
 
 
 def patch_tree(patches: Array, corners: Array, bodies: NDArray[np.int64], chosen: NDArray[np.bool_]) -> PatchTree:
-    """Return the tree of the patches that are curved.
+    """Return the tree of all curved patches.
 
-    Left out, and counted, are those that fold over their facet, as normals make them that hardly differ along an edge
-    to which they are not square.
+    Patches that fold over their facet are left out and counted. Normals cause this if they hardly differ along an edge
+    that is not perpendicular to them.
 
     Parameters
     ----------
     patches : (m, 6, 3) float64, mm
-        See `patch.patches`; none where no facet is chosen.
+        See `patch.patches`; empty if no facet is chosen.
     corners : (m, 3, 3) float64, mm
-        Of the facets.
+        Corners of the facets.
     bodies : (m,) int64
-        Number of the body of each facet.
+        Body of each facet.
     chosen : (m,) bool
         Facets that stand for patches.
     """
@@ -91,7 +91,7 @@ def patch_tree(patches: Array, corners: Array, bodies: NDArray[np.int64], chosen
 
 
 def _rows(patches: Array, corners: Array) -> tuple[NDArray[np.void], Array, NDArray[np.bool_]]:
-    """Return the rows of patches, (m,) CURVED, their control points, (m, 6, 3) mm, and which can be used."""
+    """Return the rows of patches (m,) CURVED, their control points (m, 6, 3) mm, and which patches are usable."""
     rows, hulls = np.zeros(len(patches), CURVED), control_points(patches)
     a, b, c = np.moveaxis(corners, 1, 0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -101,7 +101,7 @@ def _rows(patches: Array, corners: Array) -> tuple[NDArray[np.void], Array, NDAr
         axes = np.stack([first, np.cross(normal, first), normal], axis=1)
         shape = np.einsum("mij,mkj->mki", axes, patches - patches[:, :1] * (np.arange(6) == 0)[:, None])
         hull = np.einsum("mij,mkj->mki", axes, hulls - a[:, None])
-        # x = along · (η, ζ), whose columns are the facet's sides ab and bc.
+        # x = along · (η, ζ); the columns are the facet's sides ab and bc.
         along = np.stack([hull[:, 1, :2], hull[:, 2, :2] - hull[:, 1, :2]], axis=2)
         usable = np.isfinite(axes).all(axis=(1, 2)) & (np.linalg.det(along) > 0.0)
     rows["origin"], rows["axes"], rows["shape"] = a, axes, shape
@@ -122,7 +122,7 @@ def _rows(patches: Array, corners: Array) -> tuple[NDArray[np.void], Array, NDAr
 
 @kernel
 def _place(patch: Any, x: float, y: float) -> tuple[float, float]:
-    """Return the parameters (η, ζ) of the point of a patch over a point of its facet's plane, by Newton's method."""
+    """Return the parameters (η, ζ) of a patch over a point in its facet's plane, by Newton's method."""
     inverse = patch.inverse
     eta, zeta = inverse[0, 0] * x + inverse[0, 1] * y, inverse[1, 0] * x + inverse[1, 1] * y
     for _ in range(NEWTON_STEPS):
@@ -139,7 +139,7 @@ def _place(patch: Any, x: float, y: float) -> tuple[float, float]:
 
 @kernel
 def _height_at(patch: Any, x: float, y: float) -> tuple[float, float, float]:
-    """Return the height of a patch over its facet, mm, and its slopes along x and y of the facet's frame."""
+    """Return the height of a patch over its facet, mm, and its slopes along x and y in the facet's frame."""
     eta, zeta = _place(patch, x, y)
     _, _, height, ua, va, wa, ub, vb, wb = patch_point(patch.shape, eta, zeta)
     determinant = ua * vb - ub * va
@@ -151,7 +151,7 @@ _first_crossing = crossing_finder(_height_at)
 
 @kernel
 def _crosses(patch: Any, sense: float, ray: Ray, begin: float, end: float) -> tuple[bool, float, float, float, float]:
-    """Return whether a ray crosses a patch in a sense, the first distance, and the unit normal there.
+    """Find the first crossing of a ray with a patch in a sense: return whether it exists, its distance and unit normal.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def _crosses(patch: Any, sense: float, ray: Ray, begin: float, end: float) -> tu
         1 to cross along the facet's normal, −1 against it.
     ray : Ray
     begin, end : float, mm
-        Distances between which it is looked for.
+        Range of the search.
     """
     x, y, z, dx, dy, dz = ray
     o, a = patch.origin, patch.axes
@@ -182,7 +182,7 @@ def _crosses(patch: Any, sense: float, ray: Ray, begin: float, end: float) -> tu
     across2 = du * du + dv * dv
     t, until = 0.0, last - first
     height, _, _ = _height_at(patch, u, v)
-    # Beside the patch, or by rounding, it may be on the other side of the endless one: it first comes out of that.
+    # Beside the patch, or by rounding, the ray may start on the far side of the unbounded patch and leave it first.
     side = sense if sense * (height - w) >= 0.0 else -sense
     for _ in range(MOST_CROSSINGS):
         most = across2 * (-patch.least_bend if side > 0.0 else patch.most_bend)
@@ -206,13 +206,13 @@ def _crosses(patch: Any, sense: float, ray: Ray, begin: float, end: float) -> tu
 
 
 def patch_finder(sense_of: Any) -> Any:
-    """Make the kernel that finds the first of a tree's patches that a ray crosses.
+    """Make the kernel that finds the first patch of a tree that a ray crosses.
 
     Parameters
     ----------
     sense_of : kernel
-        Called as ``sense_of(state, body)``; returns 1 if patches of a body are met along their normals, −1 if against
-        them, and 0 if not at all.
+        Called as ``sense_of(state, body)``. Returns 1 if rays cross the body's patches along their normals, −1 if
+        against them, 0 if not at all.
 
     Returns
     -------
@@ -223,16 +223,16 @@ def patch_finder(sense_of: Any) -> Any:
     def first_patch(
         tree: PatchTree, state: Any, ray: Ray, begin: float, end: float
     ) -> tuple[int, float, float, float, float]:
-        """Return the facet of the first patch that a ray crosses, the distance, and the patch's unit normal; −1: none.
+        """Return the facet of the first patch that a ray crosses, its distance and unit normal; −1 if there is none.
 
         Parameters
         ----------
         tree : PatchTree
         state : Any
-            As `sense_of` takes it.
+            Passed to `sense_of`.
         ray : Ray
         begin, end : float, mm
-            Distances between which it is looked for.
+            Range of the search.
         """
         found, nearest, nx, ny, nz = -1, end, 0.0, 0.0, 1.0
         slopes, node = slopes_of(ray), 1 if tree.leaves > 0 else 0

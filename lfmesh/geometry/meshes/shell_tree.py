@@ -1,11 +1,11 @@
-"""Closed meshes that bound media: where a line enters and leaves them, found through a tree of boxes.
+"""Closed meshes that bound media: entry and exit points of lines, through a tree of boxes.
 
-A line's crossings are counted with their sense, so that shells may enclose hollows, overlap and consist of several
-parts: a point is inside where more of the crossings beyond it leave than enter. The test of a facet is that of S. Woop,
-C. Benthin and I. Wald, "Watertight ray/triangle intersection", JCGT 2 (2013) 65-82: the corners are sheared along the
-line, so that all facets round a corner see it at the same place; where the line meets an edge to the last digit, it is
-taken as moved aside by an infinitesimal length (H. Edelsbrunner and E. Mücke, "Simulation of simplicity", ACM
-Transactions on Graphics 9 (1990) 66-104). So no line slips through an edge or a corner, or meets it twice.
+Crossings are counted with their sense, so shells may enclose hollows, overlap and consist of several parts. A point is
+inside if more of the crossings beyond it leave than enter. Facets are tested as in S. Woop, C. Benthin and I. Wald,
+"Watertight ray/triangle intersection", JCGT 2 (2013) 65-82: corners are sheared along the line, so that all facets
+around a corner see it at the same place. A line that meets an edge to the last digit counts as moved aside by an
+infinitesimal length (H. Edelsbrunner and E. Mücke, "Simulation of simplicity", ACM Transactions on Graphics 9 (1990)
+66-104). No line therefore slips through an edge or a corner, or meets it twice.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,32 +21,32 @@ from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 
 LEAF = 4
-"""Most facets of a leaf."""
+"""Most facets per leaf."""
 
 MARGIN = 1e-9
-"""By how much each box is larger than its facets, over the size of the shell: more than lines are rounded by."""
+"""Enlargement of each box over the size of the shell: more than the rounding of lines."""
 
 NODE = np.dtype(
     [
         ("low", "f8", (3,)),  # mm
         ("high", "f8", (3,)),
-        ("next", "i8"),  # node to go on with where a line misses the box; those inside it stand before
-        ("first", "i8"),  # of a leaf: its first facet
-        ("count", "i8"),  # of a leaf: its number of facets, else 0
+        ("next", "i8"),  # node to continue with if a line misses the box; the nodes between are inside it
+        ("first", "i8"),  # first facet of a leaf
+        ("count", "i8"),  # number of facets of a leaf, else 0
     ]
 )
 
 
 @by_address
 class ShellTree(NamedTuple):
-    """Shells, each a row of nodes of which the first holds all of it; those below a node follow it."""
+    """Shells, each a run of nodes in depth-first order; the first node holds the whole shell."""
 
     nodes: NDArray[np.void]  # (n,) NODE
     corners: Array  # (facets, 3, 3) mm, in the order of the leaves; outward-facing
 
 
 def tree_of(shells: Sequence[Array]) -> tuple[ShellTree, list[tuple[int, int]]]:
-    """Return the trees of shells, and the first node and the one after the last of each.
+    """Return the trees of shells, and for each shell its first node and the one past its last.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def tree_of(shells: Sequence[Array]) -> tuple[ShellTree, list[tuple[int, int]]]:
 
 
 def _nodes(corners: Array, order: NDArray[np.int64]) -> Iterator[tuple[Array, Array, int, NDArray[np.int64]]]:
-    """Yield box, number of nodes with those below, and facets of each node, parents first."""
+    """Yield the box, the number of nodes in the subtree, and the facets of each node, parents first."""
     own = corners[order]
     low, high = own.min(axis=(0, 1)), own.max(axis=(0, 1))
     if len(order) <= LEAF:
@@ -90,7 +90,7 @@ def _nodes(corners: Array, order: NDArray[np.int64]) -> Iterator[tuple[Array, Ar
 
 @inlined
 def _passes_left(ax: float, ay: float, bx: float, by: float) -> tuple[float, bool]:
-    """Return the cross product of two points of a plane, and whether the origin, moved aside, is left of their line."""
+    """Return the cross product of two points in a plane, and whether the origin, moved aside, is left of their line."""
     cross = ax * by - ay * bx
     if cross != 0.0:
         return cross, cross > 0.0
@@ -99,13 +99,13 @@ def _passes_left(ax: float, ay: float, bx: float, by: float) -> tuple[float, boo
 
 @kernel
 def next_crossing(tree: ShellTree, begin: int, end: int, t: float, ray: Ray) -> tuple[bool, float]:
-    """Return whether the point of a line at t is in a shell, and the next distance at which the line meets the shell.
+    """Return whether the point of a line at t is in a shell, and the distance to the line's next crossing of the shell.
 
     Parameters
     ----------
     tree : ShellTree
     begin, end : int
-        First node of the shell, and the one after its last.
+        First node of the shell, and the one past its last.
     t : float, mm
     ray : Ray
 
@@ -117,7 +117,7 @@ def next_crossing(tree: ShellTree, begin: int, end: int, t: float, ray: Ray) -> 
     """
     x, y, z, dx, dy, dz = ray
     whole = tree.nodes[begin]
-    # From a point near the shell, so that far starts lose no digits.
+    # Start from a point near the shell, so that distant starts lose no digits.
     mx, my, mz = (
         0.5 * (whole.low[0] + whole.high[0]) - x,
         0.5 * (whole.low[1] + whole.high[1]) - y,
@@ -159,7 +159,7 @@ def next_crossing(tree: ShellTree, begin: int, end: int, t: float, ray: Ray) -> 
             height = (u * az + v * bz + w * cz) / whole_area if whole_area != 0.0 else (az + bz + cz) / 3.0
             at = shift + height * sk
             if at > t:
-                # Left of all its edges, the line sees the outside of the facet look along the third axis.
+                # If the line passes left of all edges, the outside of the facet faces along the third axis.
                 beyond += sense if left else -sense
                 ahead = min(ahead, at)
         node += 1

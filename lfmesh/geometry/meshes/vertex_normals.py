@@ -1,8 +1,8 @@
-"""Normals at the vertices of a mesh that came without: smooth groups, creases, and a fit of second order.
+"""Vertex normals of a mesh that came without: smooth groups, creases, and a second-order fit.
 
-The mean of the neighbouring facets' normals, which mesh libraries give, is of first order on uneven meshes and tilts
-at rims. Here a quadratic surface is fitted to the neighbours of each vertex within its smooth group, and its gradient
-there is the normal: exact for quadrics in a symmetric neighbourhood, of second order in the facets' size in any.
+The usual mean of the neighbouring facets' normals is of first order on uneven meshes and tilts at rims. Here the normal
+is the gradient of a quadric fitted to a vertex's neighbours in its smooth group. It is exact for quadrics if these are
+symmetric, otherwise of second order in the facet size.
 """
 
 from itertools import pairwise
@@ -13,30 +13,30 @@ from numpy.typing import NDArray
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_normals
 
 LEAST_NEIGHBOURS = 8
-"""Neighbours that a fit of five coefficients should have; fewer are widened by their own neighbours."""
+"""Least number of neighbours for a fit of five coefficients; if there are fewer, their own neighbours are added."""
 
 HUB = 64
-"""Neighbours of a vertex, the centre of a fan, above which they are no neighbours of each other by way of it."""
+"""Number of neighbours above which a vertex is the centre of a fan, and does not connect its neighbours."""
 
 CREASE_FACTOR = 3.0
 CREASE_QUANTILE = 0.75
 CREASE_RANGE_DEG = (0.5, 30.0)
 
 NO_FIT = 1e-10
-"""Share of a fit's largest singular value below which the neighbours say nothing of a coefficient."""
+"""Fraction of a fit's largest singular value below which the neighbours do not determine a coefficient."""
 
 IN_ONE_PLANE = 1e-5
-"""Angle in rad that float32 coordinates leave between facets of one plane."""
+"""Angle in rad between coplanar facets due to float32 coordinates."""
 
 
 def edge_partners(faces: Index) -> tuple[Index, Index]:
-    """Return the (k,) pairs of facet edges that coincide, as 3 · facet + edge; edge 0 is ab, 1 bc, 2 ca.
+    """Return the pairs of coincident facet edges, (k,) each, as 3 · facet + edge; edge 0 is ab, 1 bc, 2 ca.
 
-    Edges that belong to more than two facets have no partner.
+    Edges shared by more than two facets have no partner.
     """
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     low, high = edges.min(axis=1), edges.max(axis=1)
-    # One number for both ends sorts in half the time.
+    # Encoding both ends in one number halves the time of the sort.
     edge = low * np.int64(high.max(initial=0) + 1) + high
     order = np.argsort(edge, kind="stable")
     same = np.diff(edge[order]) == 0
@@ -54,9 +54,9 @@ def is_closed(faces: Index) -> bool:
 
 
 def _may_be_closed(start: Index, end: Index) -> bool:
-    """Tell whether edges may cancel in pairs of opposite senses: hashes of their ends, signed by sense, sum to zero.
+    """Tell whether edges may cancel in pairs of opposite senses: the sum of the signed hashes of their ends is zero.
 
-    False is certain. An open scan of a million facets is known as such without sorting its edges.
+    False is certain. This rules out an open scan of a million facets without sorting its edges.
     """
     low, high = np.minimum(start, end).astype(np.uint64), np.maximum(start, end).astype(np.uint64)
     hashed = low * np.uint64(0x9E3779B97F4A7C15) + high * np.uint64(0xBF58476D1CE4E5B9)
@@ -67,14 +67,14 @@ def _may_be_closed(start: Index, end: Index) -> bool:
 
 
 def smooth_edges(mesh: Mesh, crease_deg: float | None) -> NDArray[np.bool_]:
-    """Return (m, 3): whether the surface goes on across each edge, its facets' normals less than an angle apart.
+    """Tell across which edges (m, 3) the surface is smooth: the facets' normals differ by less than an angle.
 
-    Without an angle, it is `CREASE_FACTOR` times the upper quartile of those between facets that are not in one
-    plane: on a mesh of curved faces most edges lie on the faces, the more curved of them included, few between them.
+    The default angle is `CREASE_FACTOR` times the upper quartile of the angles between facets that are not coplanar. On
+    a mesh of curved faces, most edges lie on the faces, including the more curved ones, and few between faces.
     """
     normals, _ = facet_normals(mesh)
     first, second = edge_partners(mesh.faces)
-    # The half angle's sine keeps its digits where the cosine is one.
+    # The sine of the half angle keeps its digits where the cosine is close to one.
     angle = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(normals[first // 3] - normals[second // 3], axis=1), 1.0))
     if crease_deg is None:
         curved = angle[angle > IN_ONE_PLANE]
@@ -87,12 +87,12 @@ def smooth_edges(mesh: Mesh, crease_deg: float | None) -> NDArray[np.bool_]:
 
 
 def smooth_groups(mesh: Mesh, smooth: NDArray[np.bool_]) -> Index:
-    """Return the (m,) number of the smooth group of each facet: facets connected across smooth edges."""
+    """Return the smooth group (m,) of each facet: facets connected across smooth edges."""
     first, second = edge_partners(mesh.faces)
     goes_on = smooth.reshape(-1)[first]
     a, b = first[goes_on] // 3, second[goes_on] // 3
     label = np.arange(len(mesh.faces))
-    # Every facet takes the smallest number among its neighbours, and that one's, until none changes.
+    # Every facet takes the smallest label among its neighbours, then the label of that facet, until none changes.
     while True:
         lowest = label.copy()
         np.minimum.at(lowest, a, label[b])
@@ -104,7 +104,7 @@ def smooth_groups(mesh: Mesh, smooth: NDArray[np.bool_]) -> Index:
 
 
 def estimated_corner_normals(mesh: Mesh, groups: Index) -> Array:
-    """Return (m, 3, 3) unit normals at the facets' corners, one a vertex and smooth group.
+    """Return unit normals (m, 3, 3) at the facets' corners, one per vertex and smooth group.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def estimated_corner_normals(mesh: Mesh, groups: Index) -> Array:
         Smooth group of each facet; a vertex on a crease has a normal in each.
     """
     count = len(mesh.vertices)
-    # A vertex of each group is a vertex of its own.
+    # Each group has its own copy of a shared vertex.
     key = groups[:, None] * count + mesh.faces
     own, corner = np.unique(key, return_inverse=True)
     corner = corner.reshape(-1, 3)
@@ -128,7 +128,7 @@ def estimated_corner_normals(mesh: Mesh, groups: Index) -> Array:
 
 
 def _neighbour_lists(corner: Index, count: int) -> list[Index]:
-    """Return each vertex's neighbours along edges, and theirs where these are few."""
+    """Return each vertex's neighbours along edges, with their own neighbours if there are few."""
     pairs = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]])
     pairs = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0)
     starts = np.searchsorted(pairs[:, 0], np.arange(count + 1))
@@ -164,11 +164,11 @@ def _fitted(place: Array, mean: Array, lists: list[Index]) -> Array:
         scale[scale == 0.0] = 1.0
         a, b, h = a / scale, b / scale, h / scale
         basis = np.stack([a, b, a * a, a * b, b * b], axis=-1)
-        # Near neighbours count for more: what the quadric leaves out grows with the third power of the distance.
+        # Near neighbours count for more: the error of the quadric grows with the third power of the distance.
         weight = 1.0 / (0.1 + a * a + b * b)
         left = np.einsum("nki,nk,nkj->nij", basis, weight, basis)
         right = np.einsum("nki,nk,nk->ni", basis, weight, h)
-        # A vertex whose neighbours lie on a line or a conic has no fit of its own; the least-norm one is taken.
+        # Neighbours on a line or a conic do not determine the fit; take the least-norm one.
         solution = np.einsum("nij,nj->ni", np.linalg.pinv(left, rcond=NO_FIT, hermitian=True), right)
         tilted = axis - solution[:, :1] * u - solution[:, 1:2] * v
         normals[some] = tilted / np.linalg.norm(tilted, axis=1, keepdims=True)

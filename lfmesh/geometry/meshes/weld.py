@@ -1,4 +1,4 @@
-"""Vertices that stand in the same place, made one, so that facets which touch share their edges."""
+"""Merging of coincident vertices, so that touching facets share their edges."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +19,15 @@ _SHIFT = np.uint64(29)
 def welded(mesh: Mesh) -> Mesh:
     """Return the mesh with equal vertices merged; the facets keep their order and their corner normals.
 
-    Equal means equal in float64: nothing is moved, and a gap that the mesh has stays open. Vertices come in the order
-    in which facets have them first, so that neighbours lie close in memory; those of no facet are left out.
+    Vertices must be equal in float64, so gaps stay open. They are ordered by first use, so that neighbours are close in
+    memory; unused ones are dropped.
     """
-    # Adding zero turns -0.0 into 0.0, which is the same place.
+    # Adding zero turns -0.0 into 0.0.
     vertices = np.ascontiguousarray(mesh.vertices + 0.0)
     most = min(mesh.faces.size, len(vertices))
     faces = np.empty(mesh.faces.shape, np.int64)
     places, number = np.empty(most, np.int64), np.full(len(vertices), -1)
-    # At most half of the table is filled.
+    # Fill at most half of the table.
     table = np.full(1 << (2 * most).bit_length(), -1)
     count = _number(mesh.faces, vertices.view(np.uint64), number, table, places, faces)
     return Mesh(vertices[places[:count]], faces, mesh.corner_normals)
@@ -35,22 +35,22 @@ def welded(mesh: Mesh) -> Mesh:
 
 @kernel
 def _number(given: Index, bits: Bits, number: Index, table: Index, places: Index, faces: Index) -> int:
-    """Return the number of distinct places of the vertices that facets have, and number these by a hash table.
+    """Assign a number to each distinct position of the vertices that facets use, by a hash table; return their count.
 
     Parameters
     ----------
     given : (m, 3) int64
         Facets, by vertices.
     bits : (n, 3) uint64
-        Coordinates of the vertices, bit by bit.
+        Bits of the vertices' coordinates.
     number : (n,) int64
-        Written: numbers of the vertices' places; -1 at first.
+        Output: position of each vertex; initially −1.
     table : (2^k,) int64
-        Written: the hash table, of numbers of places; -1 at first.
+        Output: the hash table, of positions; initially −1.
     places : (n,) int64
-        Written: the first vertex of each place.
+        Output: first vertex at each position.
     faces : (m, 3) int64
-        Written: facets, by places.
+        Output: facets, by positions.
     """
     count = 0
     for i in range(len(given)):
@@ -70,7 +70,7 @@ def _number(given: Index, bits: Bits, number: Index, table: Index, places: Index
 
 @inlined
 def _slot(bits: Bits, vertex: int, size: int) -> int:
-    """Return the place in a hash table of a size, a power of two, at which a vertex is looked for first."""
+    """Return the first slot to try for a vertex in a hash table with a power-of-two size."""
     hashed = bits[vertex, 0]
     for axis in range(1, 3):
         hashed = (hashed ^ (hashed >> _SHIFT)) * _FIRST + bits[vertex, axis]
@@ -81,5 +81,5 @@ def _slot(bits: Bits, vertex: int, size: int) -> int:
 
 @inlined
 def _is_equal(bits: Bits, one: int, other: int) -> bool:
-    """Tell whether two vertices stand in the same place."""
+    """Tell whether two vertices coincide."""
     return bits[one, 0] == bits[other, 0] and bits[one, 1] == bits[other, 1] and bits[one, 2] == bits[other, 2]

@@ -1,8 +1,8 @@
-"""Winding number of closed shells round a point: it tells whether the point lies in a body of any shape.
+"""Winding number of closed shells about a point, which tells whether the point is in a body of any shape.
 
-The facets' solid angles, with the sign of the side that looks at the point, add up to 4π inside a closed shell and to
-nothing outside. The angle of a triangle is that of A. van Oosterom and J. Strackee, "The solid angle of a plane
-triangle", IEEE Trans. Biomed. Eng. 30 (1983) 125-126.
+The solid angles of the facets, signed by the side that faces the point, sum to 4π inside a closed shell and to zero
+outside. The solid angle of a triangle follows A. van Oosterom and J. Strackee, "The solid angle of a plane triangle",
+IEEE Trans. Biomed. Eng. 30 (1983) 125-126.
 """
 
 import numpy as np
@@ -14,19 +14,19 @@ from lfmesh.kernels.decorators import kernel
 
 
 def shells(mesh: Mesh) -> list[NDArray[np.int64]]:
-    """Return the facets of each part of a mesh that hangs together across its edges."""
+    """Return the facets of each edge-connected part of a mesh."""
     group = smooth_groups(mesh, np.ones((len(mesh.faces), 3), dtype=bool))
     order = np.argsort(group, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
 
 
 def winding(corners: Array, points: Array) -> NDArray[np.int64]:
-    """Return (n,) how often a closed shell winds round points: 1 inside an outward-facing one, 0 outside.
+    """Return the winding number (n,) of a closed shell about points: 1 inside an outward-facing shell, 0 outside.
 
     Parameters
     ----------
     corners : (m, 3, 3) float64
-        Of its facets.
+        Corners of the facets.
     points : (n, 3) float64
         Not on the shell itself.
     """
@@ -40,7 +40,7 @@ def winding(corners: Array, points: Array) -> NDArray[np.int64]:
 
 @kernel
 def _solid_angle(corners: Array, x: float, y: float, z: float) -> float:
-    """Return the solid angle that facets cover as seen from a point, positive where their backs are seen."""
+    """Return the solid angle of facets as seen from a point, positive where their backs are seen."""
     total = 0.0
     for i in range(len(corners)):
         ax, ay, az = corners[i, 0, 0] - x, corners[i, 0, 1] - y, corners[i, 0, 2] - z

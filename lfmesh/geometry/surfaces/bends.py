@@ -1,6 +1,6 @@
 """Bounds of the heights of exact surfaces, and of their second derivatives in all directions.
 
-Rays that miss no crossing step by the latter.
+The second derivatives set the steps of rays that must not miss a crossing.
 """
 
 from collections.abc import Callable
@@ -31,26 +31,20 @@ from lfmesh.optics.bounds import (
 from lfmesh.optics.section_bounds import BiconicParts, biconic_parts, toroid_height, toroid_seconds
 
 Line = tuple[tuple[float, float], tuple[float, float]]
-"""Two corners of a row of cells."""
+"""Two opposite corners of a row of cells."""
 
 WITHIN, WITHIN_BOTH = 0.005, 0.02
-"""Largest distance of a bound from the extreme, over its size: on a meridian, and where it depends on x and y."""
+"""Largest relative excess of a bound over the extreme: on a meridian, and in x and y."""
 
 HEIGHT_WITHIN = 1e-4
 """The same for the heights of a surface."""
 
 BEFORE_END = 1e-5
-"""Share of a surface's radius by which its domain stays inside its end, where second derivatives have no bound."""
+"""Fraction of its radius by which a surface's domain stays inside its end, where second derivatives are unbounded."""
 
 
 def set_bends(surface: Any, rim: float) -> None:
-    """Enter in a SURFACE record bounds of how much it bends at least and at most, out to the rim of its mesh.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    rim : float, mm
-    """
+    """Enter bounds of the second derivatives in a SURFACE record, out to the rim of its mesh, mm."""
     domain = _domain(surface, rim)
     if not domain < np.inf:
         return
@@ -59,18 +53,12 @@ def set_bends(surface: Any, rim: float) -> None:
 
 
 def _domain(surface: Any, rim: float) -> float:
-    """Return the radius up to which the second derivatives of a surface are bounded, mm."""
+    """Return the radius inside which the second derivatives of a surface are bounded, mm."""
     return min(rim, last_radius(surface) * (1.0 - BEFORE_END))
 
 
 def with_bends(surface: Any, radius: float) -> Any:
-    """Return a surface with bounds of its second derivatives inside a radius, if it is one of no revolution.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    radius : float, mm
-    """
+    """Return a SURFACE record with bounds of its second derivatives inside a radius, mm, unless it is of revolution."""
     if is_revolved(surface) or surface["domain"] == _domain(surface, radius):
         return surface
     bent = surface.copy()
@@ -79,10 +67,10 @@ def with_bends(surface: Any, radius: float) -> Any:
 
 
 def bends_between(surface: Any, low: Array, high: Array) -> Range:
-    """Return bounds (n,) of the least and the most second derivative of z, in any direction, between radii, 1/mm.
+    """Return bounds (n,) of the least and the largest second derivative of z, in any direction, between radii, 1/mm.
 
-    On a surface of revolution they lie along the meridian or across it. A surface of no revolution has those of its
-    whole domain, see `with_bends`.
+    On a surface of revolution they lie along the meridian or across it. Other surfaces have one bound for their whole
+    domain, see `with_bends`.
 
     Parameters
     ----------
@@ -97,14 +85,14 @@ def bends_between(surface: Any, low: Array, high: Array) -> Range:
 
 
 def powers_of(surface: Any) -> list[tuple[int, float]]:
-    """Return exponents and coefficients of the terms of a surface's profile."""
+    """Return exponents and coefficients of a profile's terms."""
     even = enumerate(surface["asphere"][: surface["terms"]])
     odd = enumerate(surface["odd"][: surface["odd_terms"]])
     return [(4 + 2 * n, float(a)) for n, a in even] + [(3 + 2 * n, float(a)) for n, a in odd]
 
 
 def range_on_circles(surface: Any, low: Array, high: Array, order: int) -> Range:
-    """Return the ranges of the sag of a surface's profile, or of a derivative, between radii.
+    """Return the range of a profile's sag, or of a derivative, between radii.
 
     Parameters
     ----------
@@ -118,50 +106,44 @@ def range_on_circles(surface: Any, low: Array, high: Array, order: int) -> Range
 
 
 def height_range(surface: Any, rim: float) -> tuple[float, float]:
-    """Return bounds of the least and the largest height of a surface over its vertex, out to the rim of its mesh, mm.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    rim : float, mm
-    """
+    """Return bounds of the heights of a surface over its vertex, out to the rim of its mesh, mm."""
     radius = min(rim, last_radius(surface))
     if is_revolved(surface):
         return _of_revolution(surface, radius, (SAG,), HEIGHT_WITHIN)
-    # Out from the axis a biconic rises or falls all along a meridian, and a toroid all along a line y = const.
+    # Outward from the axis a biconic is monotonic along each meridian, and a toroid along each line y = const.
     return _extremes_on(*_height_cells(surface, radius))
 
 
 def rim_range(surface: Any, rim: float) -> tuple[float, float]:
-    """Return bounds of the least and the largest height of the rim of a surface over its vertex, mm.
+    """Return bounds of the heights of a surface's rim over its vertex, mm.
 
     Parameters
     ----------
     surface : SURFACE record
     rim : float, mm
-        Radius of the circle about the axis; beyond the end of the surface, its heights are those of the end.
+        Radius of the circle about the axis; if beyond the end of the surface, the heights are the end's.
     """
     radius = min(rim, last_radius(surface))
     if is_revolved(surface):
         return (float(sag(surface, radius)),) * 2
     if surface["kind"] not in (BICONIC, TOROID):
-        # Bounds of all heights inside are some of these, too.
+        # Bounds of all heights inside hold for the rim, too.
         return height_range(surface, rim)
     ranges_in, (circle, _) = _height_cells(surface, radius)
     return _extremes_on(ranges_in, [circle])
 
 
 def rim_hull(surface: Any, rim: float) -> Array:
-    """Return points (n, 3) whose convex hull holds the rim of a surface where it stands, camera frame, mm.
+    """Return points (n, 3) in the camera frame, mm, with a convex hull that contains the rim of a posed surface.
 
-    A polygon round the circle, at the rim's least and at its largest height. Along any direction, and from any axis,
+    They are a polygon around the circle, at the rim's least and largest height. Along any direction, and from any axis,
     the points reach at least as far as the rim.
 
     Parameters
     ----------
     surface : SURFACE record
     rim : float, mm
-        As for `rim_range`.
+        See `rim_range`.
     """
     turn = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     around = rim / np.cos(np.pi / AZIMUTHS) * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -171,14 +153,9 @@ def rim_hull(surface: Any, rim: float) -> Array:
 
 
 def box_of(surface: Any, rim: float) -> Array:
-    """Return corners (n, 3) of a box round a surface, out to the rim of its mesh, camera frame, mm.
+    """Return corners (n, 3) of a box around a surface out to the rim of its mesh, camera frame, mm.
 
-    A posed surface bulges beyond the vertices of its mesh: its outermost point need not be one of them.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    rim : float, mm
+    The outermost point of a posed surface need not be a vertex of its mesh.
     """
     if surface["posed"] and is_revolved(surface):
         turn, shift = surface["pose"][:, :3], surface["pose"][:, 3] + surface["vertex_z"] * surface["pose"][:, 2]
@@ -189,16 +166,16 @@ def box_of(surface: Any, rim: float) -> Array:
 
 
 def _reach_along(surface: Any, rim: float, aside: float, along: float) -> tuple[float, float]:
-    """Return bounds of how far a surface of revolution reaches from its vertex against a direction and along it, mm.
+    """Return bounds of the extent of a surface of revolution from its vertex, against a direction and along it, mm.
 
-    On a circle of radius r at the height z these are along z ∓ aside r.
+    On a circle of radius r at height z they are along z ∓ aside r.
 
     Parameters
     ----------
     surface : SURFACE record
     rim : float, mm
     aside, along : float
-        Of the unit direction: its part square to the axis, and its component along the axis.
+        Components of the unit direction perpendicular to the axis and along it.
     """
 
     def ranges_in(low: Array, high: Array) -> Range:
@@ -209,13 +186,7 @@ def _reach_along(surface: Any, rim: float, aside: float, along: float) -> tuple[
 
 
 def _bends(surface: Any, domain: float) -> tuple[float, float]:
-    """Return bounds of the least and the largest second derivative of a surface within a radius, 1/mm.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    domain : float, mm
-    """
+    """Return bounds of the least and the largest second derivative of a surface within a radius (mm), 1/mm."""
     if is_revolved(surface):
         return _of_revolution(surface, domain, (ACROSS, ALONG), WITHIN)
     if surface["kind"] == BICONIC:
@@ -235,7 +206,7 @@ def _of_revolution(surface: Any, radius: float, orders: tuple[int, ...], within:
 
 
 def _height_cells(surface: Any, radius: float) -> tuple[Callable[[Array, Array], Range], list[Line]]:
-    """Return a function that bounds heights in cells, and the two lines of cells on which heights have their extremes.
+    """Return a function that bounds heights in cells, and the two lines of cells that contain the extreme heights.
 
     The first is the circle of the given radius, mm.
     """
@@ -252,7 +223,7 @@ def _extremes_on(ranges_in: Callable[[Array, Array], Range], lines: list[Line]) 
 
 
 def _mixed(low: Array, high: Array, of_x: float, of_y: float) -> Range:
-    """Return the ranges of a x² + b y² in cells of a biconic: in either coordinate of a cell it is linear."""
+    """Return the range of a x² + b y² in cells of a biconic; it is linear in each coordinate of a cell."""
     ends = [of_x * at + of_y * (1.0 - at) for at in (low[:, 1], high[:, 1])]
     return times((low[:, 0], high[:, 0]), (np.minimum(*ends), np.maximum(*ends)))
 
@@ -282,15 +253,15 @@ def _biconic_bends(surface: Any, low: Array, high: Array) -> Range:
         z_xx = 2 c_x s + a (4 c_x x² + q) s²/w + a² x² q h,   h = s² (2 s + 1/w) / w²
         z_xy = x y (2 (c_x b + c_y a) s²/w + a b q h)
 
-    and z_yy as z_xx. w², and q with its like, are linear in either coordinate of a cell. With g = (c_x x, c_y y) and
-    v = (a x, b y) the matrix is D + 2 (g vᵀ + v gᵀ) s²/w + q h v vᵀ, D diagonal. For q > 0 the last two are at least
-    −4 g gᵀ (s²/w)² / (q h), where g² < q max(c_x, c_y).
+    and z_yy by analogy. w², q and the like are linear in each coordinate of a cell. With g = (c_x x, c_y y) and
+    v = (a x, b y) the matrix is D + 2 (g vᵀ + v gᵀ) s²/w + q h v vᵀ, D diagonal. For q > 0 the last two terms are
+    at least −4 g gᵀ (s²/w)² / (q h), with g² < q max(c_x, c_y).
 
     Parameters
     ----------
     surface : SURFACE record
     low, high : (n, 2) float64
-        x² + y², and the share of x² in it.
+        x² + y², and the fraction of x² in it.
     """
     cx, cy = float(surface["curvature_x"]), float(surface["curvature"])
     a, b = _squares(surface)
@@ -310,7 +281,7 @@ def _biconic_bends(surface: Any, low: Array, high: Array) -> Range:
     least, most = _in_all_directions(xx, yy, np.maximum(-product[0], product[1]))
     if cx * cy <= 0.0:
         return least, most
-    # Of curvatures of one sign, the matrix less a square has no part that grows without bound towards the end.
+    # If the curvatures have one sign, the matrix less a square stays bounded towards the end.
     beyond = 4.0 * max(abs(cx), abs(cy)) * w[1] / ((1.0 + w[0]) * (1.0 + 3.0 * w[0]))
     in_x, in_y = (plus(scaled(2.0 * c, s), scaled(e, times(q, first))) for c, e in ((cx, a), (cy, b)))
     if cx > 0.0:
@@ -321,13 +292,13 @@ def _biconic_bends(surface: Any, low: Array, high: Array) -> Range:
 def _toroid_roots(surface: Any, domain: float, low: Array, high: Array) -> tuple[Range, Range, Range]:
     """Return the ranges of x², u and v in cells of a toroid; see `_toroid_bends`.
 
-    On the rim v² depends on y alone. It is bounded by its derivative, as its terms all but cancel near the end of a
-    torus that is a sphere, too.
+    On the rim v² depends on y alone. It is bounded by its derivative, because its terms nearly cancel close to the end
+    of a torus that is a sphere.
 
     Parameters
     ----------
     surface, domain, low, high
-        As for `_toroid_bends`.
+        See `_toroid_bends`.
     """
     cx, y, share = float(surface["curvature_x"]), (low[:, 0], high[:, 0]), (low[:, 1], high[:, 1])
     f, by_y = (range_on_circles(surface, *y, order) for order in (SAG, SLOPE))
@@ -337,7 +308,7 @@ def _toroid_roots(surface: Any, domain: float, low: Array, high: Array) -> tuple
     rate = plus(scaled(cx, y), scaled(-1.0, times(u, by_y)))
     off = abs(cx) * (y[1] - y[0]) * np.maximum(-rate[0], rate[1])
     beside = cx * cx * (domain - middle) * (domain + middle)
-    # v² on the rim is at most u², which it is in the plane x = 0.
+    # v² on the rim is at most u², its value in the plane x = 0.
     most_at_rim = np.clip(at_middle[1] ** 2 - beside + off, 0.0, u[1] ** 2)
     least_at_rim = np.clip(at_middle[0] ** 2 - beside - off, 0.0, most_at_rim)
     v = (
@@ -379,7 +350,7 @@ def _toroid_bends(surface: Any, domain: float, low: Array, high: Array) -> Range
     steep2 = np.where(by_y[0] * by_y[1] > 0.0, np.minimum(by_y[0] ** 2, by_y[1] ** 2) * across[0], 0.0), steep
     xx, turned, bent = toroid_seconds(cx, along, over, steep2, bend)
     least, most = _in_all_directions(xx, plus(bent, turned), abs(cx) * over[1] * along[1] * np.sqrt(steep))
-    # The sum of both parts' extremes, which tells the sign where cells are still wide.
+    # The sum of both parts' extremes gives the sign while cells are still wide.
     whole = plus(xx, turned)
     return (
         np.maximum(least, np.minimum(whole[0], 0.0) + np.minimum(bent[0], 0.0)),
@@ -388,13 +359,13 @@ def _toroid_bends(surface: Any, domain: float, low: Array, high: Array) -> Range
 
 
 def _in_all_directions(xx: Range, yy: Range, xy: Array) -> Range:
-    """Return bounds of the eigenvalues of symmetric matrices: those grow with the diagonal.
+    """Return bounds of the eigenvalues of symmetric matrices, which grow with the diagonal.
 
     Parameters
     ----------
     xx, yy : Range
     xy : (n,) float64
-        Largest size of the element beside the diagonal.
+        Largest magnitude of the off-diagonal element.
     """
     with np.errstate(invalid="ignore"):
         low, high = (

@@ -1,7 +1,7 @@
 """Division of long facets, so that Embree's boxes are small.
 
-A box round a long, thin triangle that lies across the axes is nearly empty, and rays that come through it test the
-triangle in vain. Flat walls and fillets of CAD parts consist of such triangles.
+A box around a long, thin, oblique triangle is nearly empty, and rays through it test the triangle in vain. Flat walls
+and fillets of CAD parts consist of such triangles.
 """
 
 import numpy as np
@@ -13,16 +13,16 @@ EDGES_ACROSS = 8.0
 """Size of a body over the longest edge that its facets keep."""
 
 MANY = 64
-"""Bodies with fewer facets stay as they are: sheets and boxes, for which few large facets are best."""
+"""Bodies with fewer facets stay unchanged: few large facets are best for sheets and boxes."""
 
 MOST_GROWTH = 4
-"""A body whose facets would multiply by more stays as it is."""
+"""Largest factor on a body's number of facets; otherwise it stays unchanged."""
 
 
 def divided(mesh: Mesh, bodies: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
-    """Divide long facets at the middles of their edges; return the mesh and the facet that each of its facets is of.
+    """Divide long facets at the middles of their edges; return the mesh and the original facet of each facet.
 
-    An edge is divided by its length alone, so neighbours divide it at the same points, and no gap opens. Without long
+    An edge is divided by its length alone, so neighbours divide it at the same points and no gap opens. Without long
     facets the mesh itself is returned.
 
     Parameters
@@ -55,7 +55,7 @@ def divided(mesh: Mesh, bodies: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int
 
 
 def _divided(facets: NDArray[np.float64], longest: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Divide the facets (n, 3, 3) of a body with edges above a length; return them, and the facet that each is of."""
+    """Divide the facets (n, 3, 3) of a body with edges above a length; return them, and the original facet of each."""
     whole, most = facets, MOST_GROWTH * len(facets)
     owners = np.arange(len(facets))
     while True:

@@ -1,7 +1,7 @@
 """Rings between the rims of two surfaces, and the proof that straight edges and facets stay on one side of a surface.
 
-The height over a surface and its gradient are known at the corners of a facet. A bound of the surface's second
-derivatives then bounds the height all over the facet. Facets for which that leaves the answer open are halved.
+From the height over the surface and its gradient at the corners, a bound of the second derivatives bounds the height
+all over a facet. Facets left undecided are halved.
 """
 
 from typing import Any
@@ -19,20 +19,20 @@ ANNULUS_LEAN = 0.05
 """Rise of a ring's annulus over the length of its cylinder."""
 
 ROUNDING_OF_COORDINATES = 1e-9
-"""Depth up to which a crossing is rounding, over the coordinates of points whose places are rounded."""
+"""Depth of a crossing that counts as rounding, over the coordinates of the points."""
 
 MOST_PARTS = 1 << 14
-"""Parts beyond which facets are halved no further, and count as not clear."""
+"""Number of parts beyond which facets are no longer halved, and count as not clear."""
 
 ROUNDINGS = 8.0
-"""Roundings of a coordinate by which a point of a rim may come to lie inside it."""
+"""Roundings of a coordinate by which a point of a rim may lie inside it."""
 
 
 def ring_profile(front: Any, front_rim: float, back: Any, back_rim: float, azimuths: float = np.inf) -> Array:
     """Return the meridional polyline, front rim to back rim, that closes the space between two surfaces.
 
-    A cylinder at the larger radius with a flat annulus to the smaller rim, as lenses are made, unless that would cut
-    one of the surfaces; then a cone.
+    It is a cylinder at the larger radius with a flat annulus to the smaller rim, as lenses are made, or a cone if that
+    would cut a surface.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def ring_profile(front: Any, front_rim: float, back: Any, back_rim: float, azimu
     a = np.array([front_rim, front["vertex_z"] + mesh_sag(front, front_rim)])
     b = np.array([back_rim, back["vertex_z"] + mesh_sag(back, back_rim)])
     narrow, wide = (a, b) if a[0] < b[0] else (b, a)
-    # The annulus leans into its own space: in one plane with the neighbour's, neither would be the first to be met.
+    # The annulus leans into its own space: if it were coplanar with the neighbour's, a ray would meet either first.
     corner = np.array([wide[0], narrow[1] + ANNULUS_LEAN * (wide[1] - narrow[1])])
     turned = np.stack([a, corner, b]) if a[0] != b[0] else np.stack([a, b])
     half = np.pi / azimuths
@@ -70,19 +70,19 @@ def ring_profile(front: Any, front_rim: float, back: Any, back_rim: float, azimu
 
 
 def stays_beside(lines: Array, surface: Any, rim: float, side: float, azimuths: float) -> bool:
-    """Tell whether the strips between closed lines of points stay on one side of a surface.
+    """Tell whether the strips between closed polylines stay on one side of a surface.
 
-    Their edges from line to line do inside the rim of its mesh, their facets inside its clear aperture: an edge of the
-    rim itself is a chord of a circle of the surface.
+    Edges from line to line are checked inside the rim of its mesh, facets inside its clear aperture: an edge of the rim
+    itself is a chord of a circle of the surface.
 
     Parameters
     ----------
     lines : (lines, points, 3) float64, mm
-        Where the prescription has the surface.
+        In the surface's nominal frame.
     surface : SURFACE record
     rim : float, mm
     side : float
-        1: behind the surface, −1: before it.
+        1: behind the surface, −1: in front of it.
     azimuths : float
         Corners of its rim.
     """
@@ -97,15 +97,7 @@ def stays_beside(lines: Array, surface: Any, rim: float, side: float, azimuths: 
 
 
 def _stay_beside(parts: Array, surface: Any, radius: float, side: float) -> bool:
-    """Tell whether edges or facets stay on one side of a surface, where they are nearer to its axis than a radius.
-
-    Parameters
-    ----------
-    parts : (n, 2, 3) or (n, 3, 3) float64, mm
-    surface : SURFACE record
-    radius : float, mm
-    side : float
-    """
+    """Tell whether edges (n, 2, 3) or facets (n, 3, 3) stay on one side of a surface, inside a radius, mm."""
     end, scale = last_radius(surface), float(np.abs(parts).max() + abs(surface["vertex_z"]))
     least, grain = ROUNDING_OF_COORDINATES * scale, np.finfo(np.float64).eps * scale
     radius -= ROUNDINGS * grain
@@ -119,7 +111,7 @@ def _stay_beside(parts: Array, surface: Any, radius: float, side: float) -> bool
             return False
         farthest = r.max(axis=1, initial=0.0)
         low, high = bends_between(surface, nearest, np.minimum(farthest, end))
-        # Beyond its end a surface goes on flat, with an edge there.
+        # Beyond its end a surface continues flat, with an edge there.
         low, high = np.where(farthest > end, -np.inf, low), np.where(farthest > end, np.inf, high)
         bends = (-low, high) if side > 0.0 else (high, -low)
         sides = np.square(np.roll(parts, -1, axis=1) - parts)[..., :2].sum(axis=-1)
@@ -130,7 +122,7 @@ def _stay_beside(parts: Array, surface: Any, radius: float, side: float) -> bool
 
 
 def _beyond(parts: Array, radius: float) -> NDArray[np.bool_]:
-    """Tell which parts (n, corners, 3) are beyond a plane that is a radius from the axis, across their middle."""
+    """Tell which parts (n, corners, 3) lie beyond a plane across their middle at a radius from the axis."""
     middle = parts[..., :2].mean(axis=1)
     along = (parts[..., :2] * middle[:, None]).sum(axis=-1).min(axis=1)
     return np.asarray(along > radius * np.hypot(middle[:, 0], middle[:, 1]))
@@ -139,17 +131,17 @@ def _beyond(parts: Array, radius: float) -> NDArray[np.bool_]:
 def _least_heights(parts: Array, height: Array, bends: tuple[Array, Array], surface: Any, side: float) -> Array:
     """Return lower bounds (n,) of the height of edges or facets over a surface, mm: the largest of several.
 
-    A height that bends upwards by m at most falls below its least value at a corner by m ρ² / 2 at most. Here ρ is the
-    radius of a ball round the part: by Jung's theorem ρ² is d / (2 d + 2) times the square of the longest side, in d
-    dimensions. A height that bends downwards by m at most changes from a corner by its gradient there, less m s² / 2 at
-    most at a distance s. That is a concave function, and least at a corner.
+    If the second derivative of the height is at most m, the height is at least its least corner value less m ρ² / 2.
+    Here ρ is the radius of a ball around the part: by Jung's theorem ρ² is d / (2 d + 2) times the square of the
+    longest side, in d dimensions. If it is at least −m, the height at a distance s from a corner is at least its linear
+    extrapolation from there less m s² / 2. That function is concave, so it is least at a corner.
 
     Parameters
     ----------
     parts : (n, corners, 3) float64, mm
     height : (n, corners) float64, mm
     bends : (n,) and (n,) float64, 1/mm
-        Most upwards and downwards.
+        Largest second derivative upwards and downwards.
     surface : SURFACE record
     side : float
     """
@@ -169,7 +161,7 @@ def _least_heights(parts: Array, height: Array, bends: tuple[Array, Array], surf
 
 
 def _from_axis(parts: Array) -> Array:
-    """Return the least distances (n,) of edges or facets (n, corners, 3) from the axis, mm."""
+    """Return the least distance (n,) of edges or facets (n, corners, 3) from the axis, mm."""
     p = parts[..., :2]
     d = np.roll(p, -1, axis=1) - p
     squares = np.square(d).sum(axis=-1)
@@ -183,13 +175,13 @@ def _from_axis(parts: Array) -> Array:
 
 
 def _halved(parts: Array, sides: Array) -> Array:
-    """Return edges or facets (2 n, corners, 3) that are halves of (n, corners, 3), cut at the middle of a longest side.
+    """Return the halves (2 n, corners, 3) of edges or facets, cut at the middle of the longest side.
 
     Parameters
     ----------
     parts : (n, corners, 3) float64, mm
     sides : (n, corners) float64, mm²
-        Squares of the lengths of the sides from each corner to the next, as seen along the axis.
+        Squared lengths of the sides from each corner to the next, projected along the axis.
     """
     corners = parts.shape[1]
     turned = (sides.argmax(axis=1)[:, None] + np.arange(corners)) % corners

@@ -11,7 +11,7 @@ SETTLED = 2e-15
 """Height over the surface, relative to the size of the coordinates, that counts as rounding."""
 
 MOST_STEPS = 1000
-"""Steps towards a crossing; a ray takes some five, but for one that all but touches the surface."""
+"""Most steps towards a crossing. A ray takes about five, unless it almost touches the surface."""
 
 
 def crossing_finder(shape_at: Any) -> Any:
@@ -20,7 +20,7 @@ def crossing_finder(shape_at: Any) -> Any:
     Parameters
     ----------
     shape_at : kernel
-        Returns the sag at a point and its slopes along x and y, called as ``shape_at(surface, x, y)``.
+        Called as ``shape_at(surface, x, y)``; returns the sag at a point and its slopes along x and y.
 
     Returns
     -------
@@ -31,24 +31,24 @@ def crossing_finder(shape_at: Any) -> Any:
     def first_crossing(
         surface: Any, ray: Ray, side: float, most: float, begin: float, end: float
     ) -> tuple[bool, float]:
-        """Return whether, and at which distance, a ray first crosses a surface.
+        """Return whether a ray crosses a surface, and the distance of the first crossing.
 
-        The height u over the surface falls along a ray at most as fast as u + u' t − m t² / 2 does, with a bound m of
-        its second derivative; a step to the root of that passes no crossing. Near one it is as fast as Newton's method.
-        A ray that starts on the surface and leaves it does not meet it there.
+        Along the ray, the height u over the surface is at least u + u' t − m t² / 2, with m a bound of its second
+        derivative. A step to the root of this bound passes no crossing; near one it converges like Newton's method. A
+        ray that starts on the surface and leaves it does not cross it there.
 
         Parameters
         ----------
         surface : Any
-            As `shape_at` takes it.
+            Passed to `shape_at`.
         ray : Ray
-            From the vertex. Distances are in lengths of its direction, which may have any.
+            From the vertex; the length of its direction is the unit of distances.
         side : float
-            1 for a ray before the surface, −1 behind it.
+            1 for a ray in front of the surface, −1 behind it.
         most : float
             Bound m.
         begin, end : float
-            Distances between which a crossing is looked for.
+            Range of the search.
         """
         x, y, z, dx, dy, dz = ray
         size = abs(x) + abs(y) + abs(z)

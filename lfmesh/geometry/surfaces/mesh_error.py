@@ -1,8 +1,8 @@
-"""Error at the sensor that the tessellation of a lens makes, estimated without tracing.
+"""Error at the sensor due to the tessellation of a lens, estimated without tracing.
 
-A facet that stands for a curved surface errs by its normal, which bends the ray, and by its height, which moves the
-meeting point. Both are sampled on the facets and carried to the sensor by the paraxial matrices behind the surface; the
-surfaces' shares add in quadrature. It is an estimate: within a factor of about two of what traced rays show.
+A facet in place of a curved surface has an error of its normal, which bends the ray, and of its height, which shifts
+the intersection. Both are sampled and carried to the sensor by paraxial matrices; surfaces add in quadrature. The
+estimate agrees with traced rays within a factor of about two.
 """
 
 from typing import Any
@@ -27,11 +27,11 @@ def facet_errors(surface: Any, cap: Mesh, level: int) -> tuple[float, float]:
 
     Parameters
     ----------
-    of : SURFACE record
+    surface : SURFACE record
     cap : Mesh
-        Its mesh, facing +z, with exact corner normals.
+        Mesh of the surface, facing +z, with exact corner normals.
     level : int
-        What a facet stands for.
+        See `levels`.
     """
     if level == EXACT or cap.corner_normals is None:
         return 0.0, 0.0
@@ -54,14 +54,14 @@ def facet_errors(surface: Any, cap: Mesh, level: int) -> tuple[float, float]:
 
 
 def landing_errors(scene: Scene, numbers: list[int], surfaces: NDArray[np.void], caps: list[Mesh], level: int) -> Array:
-    """Return the (K,) rms error in mm at the sensor (or array) that each surface's mesh makes.
+    """Return the rms error (K,), mm, at the sensor or array due to each surface's mesh.
 
     Parameters
     ----------
     scene : Scene
         Solved.
     numbers : list of int
-        Place of each refracting surface in the prescription.
+        Position of each refracting surface in the prescription.
     """
     lens = scene.camera.lens
     errors = _landing_errors(scene, Paraxial.of(lens, scene.primary_nm), numbers, surfaces, caps, level)
@@ -74,7 +74,7 @@ def landing_errors(scene: Scene, numbers: list[int], surfaces: NDArray[np.void],
 def _landing_errors(
     scene: Scene, paraxial: Paraxial, numbers: list[int], surfaces: NDArray[np.void], caps: list[Mesh], level: int
 ) -> Array:
-    """Do what `landing_errors` does in one section of the lens."""
+    """Compute `landing_errors` in one section of the lens."""
     lens = scene.camera.lens
     distance = (scene.camera.mla or scene.camera.sensor).distance_mm or 0.0
     to_image: Matrix = gap(distance)
@@ -88,11 +88,11 @@ def _landing_errors(
     for number, surface, cap in zip(numbers, surfaces, caps, strict=True):
         tilt, height = facet_errors(surface, cap, level)
         n_i, n_t = paraxial.indices[number], paraxial.indices[number + 1]
-        # A typical ray meets the surface half-way out, at the slope it has there.
+        # A typical ray meets the surface halfway out, at its slope there.
         incidence = float(steepness(surface, 0.5 * surface["semi_diameter"]))
         sideways = height * incidence * abs(n_t - n_i) / n_t
         if level in (FLAT, SMOOTH):
-            # The facet's point has the normal of a place further out by the way between facet and surface.
+            # The facet's normal belongs to a point displaced by the path between facet and surface.
             bent = max(abs(surface["curvature"]), abs(surface["curvature_x"]))
             tilt = float(np.hypot(tilt, bent * height * incidence))
         bend = abs(carried[number].b * (n_t - n_i)) * tilt

@@ -1,8 +1,8 @@
-"""Recognise the exact surface of a lens that a face of a solid lies on, about the z axis.
+"""Recognition of the exact lens surface, about the z axis, that a face of a solid lies on.
 
-A STEP file says what its faces lie on: planes, spheres, cylinders and tori by name, swept curves and nets by points
-that have to be fitted. A mesh says nothing, and spheres are fitted to its vertices. What is recognised is held against
-the vertices of the face; what is off by more than its bound is no such surface, and stays a mesh.
+A STEP file gives planes, spheres, cylinders and tori by name, and swept curves and nets as points to be fitted. For a
+mesh, spheres are fitted to the vertices. If a candidate deviates from the face's vertices by more than its bound, the
+face stays a mesh.
 """
 
 from collections.abc import Iterator
@@ -23,52 +23,52 @@ from lfmesh.scene.camera.sections import Toroid
 from lfmesh.scene.literals import plain
 
 ON_SURFACE = 1e-6
-"""Largest distance of a vertex from its surface, over the farthest coordinate: float32's rounding and a margin."""
+"""Largest distance of a vertex from its surface, over the farthest coordinate: float32 rounding and a margin."""
 
 ON_AXIS = 1e-9
-"""Tilt in rad of a plane or an axis below which it stands square to z or along it: CAD programs' rounding."""
+"""Tilt in rad below which a plane is perpendicular to z, or an axis parallel to it: rounding of CAD programs."""
 
 EXACT_MM = 1e-7
-"""The largest distance of a swept curve's points from the conic with even terms that it is traced as, mm."""
+"""Largest distance of a swept curve's points from the conic with even terms that replaces it, mm."""
 
 FITTED_MM = 1e-5
-"""The largest distance of a mesh's vertices from the sphere that they are traced as, mm."""
+"""Largest distance of a mesh's vertices from the sphere that replaces them, mm."""
 
 FORM_MM = 3e-6
-"""The largest value of the smooth part of these distances, mm: of the polynomial of degree 4 in x and y fitted to them,
-and of their means over neighbouring vertices. An asphere's are smooth, and so are a dent's; digits that a file leaves
-out are not, and take no ray astray."""
+"""Largest value of the smooth part of these distances, mm: of a polynomial of degree 4 in x and y fitted to them, and
+of their means over neighbouring vertices. The distances of an asphere or a dent are smooth; those due to missing digits
+in a file are not, and do not affect rays."""
 
 NEIGHBOURS = 16
-"""Vertices, itself among them, over which the distance of a vertex is averaged."""
+"""Number of vertices, including itself, over which the distance of a vertex is averaged."""
 
 DEGREE = 4
-"""Of that polynomial."""
+"""Degree of that polynomial."""
 
 VERTICES_A_TERM = 2
-"""Vertices that a fit needs at least for each term."""
+"""Least number of vertices for each term of a fit."""
 
 INDEPENDENT = 1e-3
-"""Ratio of the singular values of the terms at the vertices above which these tell the terms apart."""
+"""Least ratio of the singular values of the terms at the vertices for a unique fit."""
 
 BESIDE = 1e-3
-"""Largest distance outside a face's box at which a swept curve is sampled, in parts of its radius."""
+"""Largest distance outside a face's box at which a swept curve is sampled, over the face's radius."""
 
 MOST_FITTED = 8
-"""Swept surfaces that are fitted where a face is: a file may put any number there, and each takes its time."""
+"""Most swept surfaces fitted to a face: a file may hold any number, and each fit takes time."""
 
 NO_TURN = 1e-12
-"""Azimuth in rad below which it is the rounding of a file's digits."""
+"""Azimuth in rad below which it is rounding in the file."""
 
 
 @dataclass(frozen=True)
 class Told:
-    """A surface that a STEP file tells.
+    """A surface given by a STEP file.
 
     Attributes
     ----------
     surface : dict
-        As `step_surfaces` writes it, mm.
+        As written by `step_surfaces`, mm.
     place : (3, 4) float64
         Frame of its body in the file.
     """
@@ -85,11 +85,11 @@ class Form:
     ----------
     vertex_z : float, mm
     keys : dict
-        Of a `Surface` of the lens: its radius, and what else its form has.
+        Keys of the lens's `Surface`: radius and other shape parameters.
     azimuth_deg : float
-        By which a cylinder or toroid is turned about z.
+        Rotation of a cylinder or toroid about z.
     words : str
-        What it is and how well it fits.
+        Description of the surface and of the quality of the fit.
     """
 
     vertex_z: float
@@ -98,7 +98,7 @@ class Form:
     words: str = ""
 
     def distances(self, points: Array) -> Array:
-        """Return how far points (n, 3) lie off it, mm; NaN where it does not reach."""
+        """Return the distances of points (n, 3) from it, mm; NaN where it does not reach."""
         record = surface_of(Surface(**self.keys))
         x, y, z = frame.points(frame.inverse(frame.frame((0.0, 0.0, self.azimuth_deg))), points).T
         with np.errstate(invalid="ignore"):
@@ -106,12 +106,12 @@ class Form:
 
 
 def told_form(points: Array, told: list[Told]) -> tuple[Form | None, str]:
-    """Return the surface that a face lies on, of those that its file tells, and what is known if it is none of them.
+    """Return the first surface in a STEP file that a face lies on, or the reason why there is none.
 
     Parameters
     ----------
     points : (n, 3) float64, mm
-        The vertices of the face.
+        Vertices of the face.
     told : list of Told
     """
     largest = ON_SURFACE * float(np.abs(points).max())
@@ -120,11 +120,11 @@ def told_form(points: Array, told: list[Told]) -> tuple[Form | None, str]:
         if fitted == MOST_FITTED:
             break
         try:
-            # What is absurdly large or small overflows, and is no surface of this face.
+            # Absurdly large or small values overflow; such a surface does not fit this face.
             with np.errstate(all="ignore"):
                 candidates = list(_forms(each, points))
                 fitted += len(candidates) * ("curve" in each.surface or "points" in each.surface)
-                # NaN is no distance: the surface must reach to every vertex.
+                # The surface must reach every vertex: comparisons with NaN are false.
                 matching = [each for each in candidates if each[0].distances(points).max() <= max(largest, each[1])]
         except (LfmeshError, np.linalg.LinAlgError):
             # A radius or coefficient beyond what a lens may have.
@@ -140,7 +140,7 @@ def told_form(points: Array, told: list[Told]) -> tuple[Form | None, str]:
 
 
 def _forms(told: Told, points: Array) -> Iterator[tuple[Form, float]]:
-    """Yield the surfaces of a lens that a told surface may be where the face is, and how far off they are."""
+    """Yield the lens surfaces that a surface of the file may be at the face, and their residuals."""
     surface = told.surface
     kind = surface["kind"]
     axis = told.place[:, :3] @ np.asarray(surface.get("axis", (0.0, 0.0, 1.0)))
@@ -151,7 +151,7 @@ def _forms(told: Told, points: Array) -> Iterator[tuple[Form, float]]:
         vertex = float(at[2] + axis[:2] @ at[:2] / axis[2])
         yield Form(vertex, {"radius_mm": np.inf}, words="a plane of the file"), 0.0
     elif kind == "sphere" and np.hypot(*at[:2]) <= ON_AXIS * surface["radius"]:
-        # Of the sphere's two halves the one that the face is on; the centre lies towards +z of the lower one.
+        # Take the half of the sphere that the face is on; the centre of the lower half lies towards +z.
         radius = _signed(surface["radius"], at[2] - points[:, 2].mean())
         yield Form(at[2] - radius, {"radius_mm": radius}, words=f"a sphere of the file, radius {radius:.9g} mm"), 0.0
     elif kind == "revolution" and np.hypot(*axis[:2]) <= ON_AXIS and np.hypot(*at[:2]) <= ON_AXIS * _size(points):
@@ -165,30 +165,30 @@ def _signed(radius: float, towards: float) -> float:
 
 
 def _size(points: Array) -> float:
-    """Return the radius about the z axis that a face reaches to, mm."""
+    """Return the largest distance of a face from the z axis, mm."""
     return float(np.hypot(points[:, 0], points[:, 1]).max())
 
 
 def _box(points: Array) -> Outside:
-    """Return the box in distance from the axis and height that a face fills."""
+    """Return the box of a face, in distance from the axis and height."""
     size, low, high = _size(points), points[:, 2].min(), points[:, 2].max()
     return lambda p: _outside(np.hypot(p[:, 0], p[:, 1]), p[:, 2], size, low, high)
 
 
 def _outside(r: Array, z: Array, size: float, low: float, high: float) -> Array:
-    """Return how far points at distances r and heights z lie outside a face's box, mm; 0 inside and close beside it."""
+    """Return the distance of points, given by r and z, from a face's box, mm; 0 inside and close to it."""
     beside = BESIDE * size
     above = np.maximum(np.maximum(low - beside - z, z - high - beside), 0.0)
     return np.asarray(np.hypot(np.maximum(r - size - beside, 0.0), above))
 
 
 def _thinned(points: Array) -> Array:
-    """Return some 500 of many points."""
+    """Return about 500 of many points."""
     return points[:: max(1, len(points) // 500)]
 
 
 def _revolved(sample: Array, points: Array, what: str) -> Iterator[tuple[Form, float]]:
-    """Yield the surface of revolution that the sampled points of a curve or net lie on."""
+    """Yield the surface of revolution through the sampled points of a curve or net."""
     some = _thinned(sample)
     profile = fitted_profile(np.hypot(some[:, 0], some[:, 1]), some[:, 2]) if len(some) else None
     if profile is not None:
@@ -197,7 +197,7 @@ def _revolved(sample: Array, points: Array, what: str) -> Iterator[tuple[Form, f
 
 
 def _off(profile: Profile, sample: Array, reaching: float) -> float:
-    """Return the largest distance, along z, of all sampled points from a profile that was fitted to some of them."""
+    """Return the largest distance, along z, of all sampled points from a profile fitted to some of them."""
     record = surface_of(Surface(**_keys(profile)))
     with np.errstate(invalid="ignore"):
         on_profile = heights(record, np.hypot(sample[:, 0], sample[:, 1]), np.zeros(len(sample)))
@@ -221,7 +221,7 @@ def _in_words(profile: Profile, what: str) -> str:
 
 
 def _sectioned(told: Told, at: Array, axis: Array, points: Array) -> Iterator[tuple[Form, float]]:
-    """Yield the cylinders and toroids of a lens that a surface with an axis square to z may be."""
+    """Yield the lens cylinders and toroids that a surface with an axis perpendicular to z may be."""
     surface, kind = told.surface, told.surface["kind"]
     along = np.array([axis[0], axis[1], 0.0]) / np.hypot(axis[0], axis[1])
     across = np.array([-along[1], along[0], 0.0])
@@ -238,7 +238,7 @@ def _sectioned(told: Told, at: Array, axis: Array, points: Array) -> Iterator[tu
             return
         for ring in (-surface["radius"], surface["radius"]):
             for tube in (-surface["tube"], surface["tube"]):
-                # Radii point from the vertex to the tube's middle and to the axis.
+                # Signed radii point from the vertex to the tube's centre and to the axis.
                 if ring != tube:
                     words = f"a torus of the file, radii {tube:.9g} and {tube - ring:.9g} mm"
                     yield _turned(middle + ring - tube, {"radius_mm": tube}, along, tube - ring, words), 0.0
@@ -247,7 +247,7 @@ def _sectioned(told: Told, at: Array, axis: Array, points: Array) -> Iterator[tu
     size, sense = float(np.abs(y).max()), _signed(1.0, middle - points[:, 2].mean())
 
     def section(p: Array) -> Array:
-        """Return y and z (n, 2) of points, as the axis carries them into the section through it."""
+        """Return y and z (n, 2) of points, carried by the axis into the section through it."""
         if kind == "extrusion":
             return np.column_stack([p @ across, p[:, 2]])
         return np.column_stack([p @ along, middle - sense * np.hypot(p @ across, p[:, 2] - middle)])
@@ -270,23 +270,23 @@ def _sectioned(told: Told, at: Array, axis: Array, points: Array) -> Iterator[tu
 
 
 def _turned(vertex: float, keys: dict[str, Any], along: Array, radius_x: float, words: str) -> Form:
-    """Return a toroid with its section y–z along a direction square to z; a cylinder the way that needs less of a turn.
+    """Return a toroid with its y–z section along a direction perpendicular to z; a cylinder takes the smaller rotation.
 
     Parameters
     ----------
     vertex : float, mm
     keys : dict
-        Of the section y–z.
+        Shape of the y–z section.
     along : (3,) float64
-        Where y points.
+        Direction of y.
     radius_x : float, mm
-        Of the section x–z.
+        Radius of the x–z section.
     words : str
     """
     turn = float(np.arctan2(-along[0], along[1]))
     plain = set(keys) == {"radius_mm"}
     if plain and np.isinf(keys["radius_mm"]) != np.isinf(radius_x) and abs(np.cos(turn)) < np.sqrt(0.5):
-        # A circular cylinder is one with its two sections exchanged, a right angle further.
+        # A circular cylinder is the same with its sections exchanged and a rotation of 90°.
         keys, radius_x, turn = {"radius_mm": radius_x}, keys["radius_mm"], turn + 0.5 * np.pi
     turn = (turn + 0.5 * np.pi) % np.pi - 0.5 * np.pi
     if abs(turn) <= NO_TURN:
@@ -296,19 +296,19 @@ def _turned(vertex: float, keys: dict[str, Any], along: Array, radius_x: float, 
 
 
 def plane_through(points: Array) -> float | None:
-    """Return z of the plane square to the axis that all points (n, 3) lie in, mm; None where there is none."""
+    """Return z of the plane perpendicular to the axis that contains all points (n, 3), mm; None if there is none."""
     z = float(np.median(points[:, 2]))
     off = float(np.abs(points[:, 2] - z).max())
     return z if off <= ON_SURFACE * float(np.abs(points).max()) else None
 
 
 def fitted_form(points: Array) -> tuple[Form | None, str]:
-    """Return the plane or sphere about the z axis that the vertices of a mesh's face lie on, and why it is none.
+    """Return the plane or sphere about the z axis through the vertices of a mesh's face, or the reason why none fits.
 
     Parameters
     ----------
     points : (n, 3) float64, mm
-        The vertices of the face.
+        Vertices of the face.
     """
     size = _size(points)
     flat = plane_through(points)
@@ -321,7 +321,7 @@ def fitted_form(points: Array) -> tuple[Form | None, str]:
     singular = np.linalg.svd(terms / np.linalg.norm(terms, axis=0), compute_uv=False)
     if singular[-1] < INDEPENDENT * singular[0]:
         return None, "its vertices stand in too few places to tell a sphere"
-    # Asked for where a sphere is fitted only: no other render waits for it.
+    # Imported only if a sphere is fitted, since it takes long.
     from scipy.spatial import cKDTree
 
     centre, radius = _sphere(points)
@@ -342,15 +342,15 @@ def fitted_form(points: Array) -> tuple[Form | None, str]:
 
 
 def _sphere(points: Array) -> tuple[float, float]:
-    """Return the centre on the z axis and the radius of the sphere nearest to points, by least squares."""
+    """Return the centre, on the z axis, and the radius of the least-squares sphere through points."""
     r2, z = np.square(points[:, :2]).sum(axis=1), points[:, 2]
-    # r² + (z − m)² = R² is linear in m and R² − m²; with z from the middle, so that nothing cancels.
+    # r² + (z − m)² = R² is linear in m and R² − m²; z is taken from the middle to avoid cancellation.
     middle = float(z.mean())
     h = z - middle
     (m2, rest), *_ = np.linalg.lstsq(np.stack([h, np.ones_like(h)], axis=1), r2 + h * h, rcond=None)
     centre, radius = 0.5 * m2, float(np.sqrt(max(rest + 0.25 * m2 * m2, 0.0)))
     for _ in range(4):
-        # Gauss–Newton: the distances themselves, not those of squares.
+        # Gauss–Newton on the distances themselves, not on their squares.
         away = np.sqrt(r2 + np.square(h - centre))
         slopes = np.stack([-(h - centre) / away, -np.ones_like(h)], axis=1)
         step = np.linalg.lstsq(slopes, radius - away, rcond=None)[0]

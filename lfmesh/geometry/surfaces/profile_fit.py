@@ -1,4 +1,4 @@
-"""Fit the profile of an optical face: a conic with even terms to points of its curve, a sphere to a mesh's vertices."""
+"""Profile fit of an optical face: a conic with even terms through points of its curve."""
 
 from dataclasses import dataclass
 
@@ -7,28 +7,28 @@ import numpy as np
 from lfmesh.geometry.meshes.mesh import Array
 
 MOST_TERMS = 8
-"""Even terms beside the conic: r⁴ to r¹⁸."""
+"""Even terms besides the conic: r⁴ to r¹⁸."""
 
 STEPS = 50
-"""Of the Gauss-Newton method, at most."""
+"""Most Gauss–Newton steps."""
 
 NO_BETTER = 0.5
-"""One more term must bring the largest residual below so many times what it was."""
+"""Factor by which one more term must reduce the largest residual."""
 
 ROUNDED = 1e-11
-"""Residual, in parts of the profile's size, below which it is that of the file's digits."""
+"""Residual, over the profile's size, below which it is rounding in the file."""
 
 SETTLED = 1e-15
-"""Change of the sag by a step, in parts of the profile's size, after which float64 has no more digits."""
+"""Change of the sag by a step, over the profile's size, that is rounding in float64."""
 
 FAR_OFF = 0.01
-"""Residual of an even polynomial, in parts of the profile's size, beyond which points are on no profile of a lens."""
+"""Residual of an even polynomial, over the profile's size, beyond which the points do not lie on a lens profile."""
 
 FIRST_DAMPING = 1e-4
-"""Of the least squares, in parts of the scaled columns' squares."""
+"""Initial damping of the least squares, over the squares of the scaled columns."""
 
 STEEP = 0.5
-"""Radius over that of curvature beyond which a parabola is no start for a sphere."""
+"""Aperture radius over radius of curvature beyond which a parabola is a poor start for a sphere."""
 
 FLAT_ENOUGH = 1e-12
 """Curvature times radius below which a profile is a straight line."""
@@ -41,13 +41,13 @@ class Profile:
     Attributes
     ----------
     vertex_mm : float
-        Its height on the axis.
+        Height on the axis.
     curvature_per_mm : float
     conic : float
     terms_mm : tuple of float
         Coefficients of r⁴, r⁶, ...
     residual_mm : float
-        The largest distance along the axis of a point from it.
+        Largest distance of a point from it along the axis.
     """
 
     vertex_mm: float
@@ -58,12 +58,12 @@ class Profile:
 
     @property
     def radius_mm(self) -> float:
-        """Radius at the vertex; inf for a flat one."""
+        """Vertex radius; inf if flat."""
         return 1.0 / self.curvature_per_mm if self.curvature_per_mm else np.inf
 
 
 def fitted_profile(r: Array, z: Array) -> Profile | None:
-    """Return the profile with the fewest terms that fits points as well as more terms would; None where none does.
+    """Return the profile with the fewest terms that fits as well as one with more terms; None if none fits.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def fitted_profile(r: Array, z: Array) -> Profile | None:
     for terms in range(MOST_TERMS + 1):
         if best is not None and best[1] <= ROUNDED:
             break
-        # With a conic constant the least squares may creep; without one they are as good as linear.
+        # With a conic constant the least squares may converge slowly; without one they are almost linear.
         starts = [(sphere if best is None else best[0], True), (sphere, False)]
         found = [_refined(s, h, np.resize(np.append(start, np.zeros(3 + terms)), 3 + terms), with_conic=conic)
                  for start, conic in starts]  # fmt: skip
@@ -100,7 +100,7 @@ def fitted_profile(r: Array, z: Array) -> Profile | None:
 
 
 def _sphere_through(s: Array, h: Array) -> Array:
-    """Return vertex, curvature and conic constant 0 of a sphere about the axis near points (s, h)."""
+    """Return vertex, curvature and zero conic constant of a sphere about the axis near points (s, h)."""
     (vertex, c), *_ = np.linalg.lstsq(np.stack([np.ones_like(s), 0.5 * s * s], axis=1), h, rcond=None)
     if abs(c) > STEEP:
         # From s² + (h − m)² = R², linear in m and R² − m².
@@ -116,8 +116,8 @@ def _sphere_through(s: Array, h: Array) -> Array:
 def _refined(s: Array, h: Array, start: Array, with_conic: bool) -> tuple[Array, float] | None:
     """Return vertex, curvature, conic constant and terms by damped least squares, and the largest residual.
 
-    The method of Levenberg and Marquardt: conic constant and terms stand in for each other, and undamped steps leave
-    the range in which the conic reaches the rim.
+    The method is Levenberg–Marquardt: conic constant and terms are nearly interchangeable, and undamped steps lead to
+    conics that do not reach the rim.
     """
     values = start.copy()
     found = _sag_and_slopes(s, values)
@@ -147,7 +147,7 @@ def _refined(s: Array, h: Array, start: Array, with_conic: bool) -> tuple[Array,
 
 
 def _sag_and_slopes(s: Array, values: Array) -> tuple[Array, Array] | None:
-    """Return the sag (n,) and its derivatives (n, k) by each value; None where the conic does not reach."""
+    """Return the sag (n,) and its derivatives (n, k) by each value; None if the conic does not reach."""
     vertex, c, conic, *a = values
     s2 = s * s
     square = 1.0 - (1.0 + conic) * c * c * s2

@@ -10,13 +10,13 @@ from lfmesh.kernels.decorators import kernel
 
 
 def sag(surface: Any, r: ArrayLike) -> Array:
-    """Return the sag of a surface of revolution in mm at the radii `r` (any shape, mm); NaN where it does not reach."""
+    """Return the sag of a surface of revolution at radii `r` (any shape), mm; NaN where it does not reach."""
     _need_revolved(surface)
     return _curve(surface, np.asarray(r, dtype=np.float64))[0]
 
 
 def slope(surface: Any, r: ArrayLike) -> Array:
-    """Return dz/dr of a surface of revolution at the radii `r`."""
+    """Return dz/dr of a surface of revolution at radii `r`."""
     _need_revolved(surface)
     return _curve(surface, np.asarray(r, dtype=np.float64))[1]
 
@@ -27,7 +27,7 @@ def _need_revolved(surface: Any) -> None:
 
 
 def _curve(surface: Any, r: Array) -> tuple[Array, Array]:
-    """Return z and dz/dr by the curvature, conic constant and terms of a record; NaN where the conic does not reach."""
+    """Return z and dz/dr from the curvature, conic constant and terms; NaN where the conic does not reach."""
     r2 = r * r
     c, k = surface["curvature"], surface["conic"]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -47,24 +47,12 @@ def _curve(surface: Any, r: Array) -> tuple[Array, Array]:
 
 
 def heights(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
-    """Return z of any surface above its vertex, mm; NaN where it does not reach.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    x, y : float64 of one shape, mm
-    """
+    """Return z of any SURFACE record above its vertex at points x, y (any shape), mm; NaN where it does not reach."""
     return _form(surface, np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))[0]
 
 
 def gradients(surface: Any, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-    """Return dz/dx and dz/dy of any surface.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    x, y : float64 of one shape, mm
-    """
+    """Return dz/dx and dz/dy of any SURFACE record at points x, y (any shape), mm."""
     return _form(surface, np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))[1:]
 
 
@@ -95,26 +83,20 @@ def _form(surface: Any, x: Array, y: Array) -> tuple[Array, Array, Array]:
 
 @kernel
 def _form_of_each(s: Any, x: Array, y: Array, z: Array, by_x: Array, by_y: Array) -> None:
-    """Enter z, dz/dx and dz/dy at points (n,)."""
+    """Write z, dz/dx and dz/dy at points (n,)."""
     for i in range(len(x)):
         z[i], by_x[i], by_y[i] = form_at(s, x[i], y[i])
 
 
 def normals(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
-    """Return (n, 3) unit normals, towards +z, at the points (x, y) of the surface.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    x, y : (n,) float64, mm
-    """
+    """Return the unit normals (n, 3), towards +z, of a SURFACE record at points x, y (n,), mm."""
     by_x, by_y = gradients(surface, x, y)
     n = np.stack([-by_x, -by_y, np.ones_like(by_x)], axis=-1)
     return np.asarray(n / np.linalg.norm(n, axis=-1, keepdims=True))
 
 
 def reach(surface: Any) -> float:
-    """Return the largest radius within which the surface exists everywhere, mm; inf when it has no rim of its own."""
+    """Return the largest radius inside which the surface exists everywhere, mm; inf if it has no rim of its own."""
     own = 0.0
     if surface["curvature"] != 0.0:
         own = max(own, float((1.0 + surface["conic"]) * surface["curvature"] ** 2))

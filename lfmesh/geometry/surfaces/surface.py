@@ -1,14 +1,15 @@
-"""Exact surfaces: plane, conic, asphere, biconic, toroid. Sag, normal and where a ray meets them.
+"""Exact surfaces: plane, conic, asphere, biconic, toroid. Sag, normal and intersection with rays.
 
-A surface is one record of `SURFACE`; its coordinates have the origin at the vertex and z along the axis, so a table
-of them (one a refracting surface) is what the kernels read. Of a surface of revolution the sag is
+A surface is a record of `SURFACE`, with its origin at the vertex and z along the axis. Kernels read a table with one
+record per refracting surface. The sag of a surface of revolution is
 
     z(r) = c r² / (1 + sqrt(1 − (1 + k) c² r²)) + a₄ r⁴ + a₆ r⁶ + ... + b₃ r³ + b₅ r⁵ + ...
 
-with curvature c = 1 / radius and conic constant k (ISO 10110-12). A biconic has a curvature and a conic constant each
-in x and in y; in a toroid the curve z(y) turns about a line parallel to y, at the radius 1 / c_x behind the vertex.
+with curvature c = 1 / radius and conic constant k (ISO 10110-12). A biconic has a curvature and a conic constant in x
+and in y. In a toroid the curve z(y) turns about a line parallel to y, at the radius 1 / c_x behind the vertex.
 
-Where a surface that is no conic ends, `form_at` goes on without a step: a search for a root needs a height everywhere.
+Beyond the end of a surface other than a conic, `form_at` continues without a step: a root search needs heights
+everywhere.
 """
 
 from typing import Any
@@ -35,40 +36,40 @@ SURFACE = np.dtype(
         ("curvature", "f8"),
         ("conic", "f8"),
         ("asphere", "f8", (MAX_ASPHERE_TERMS,)),
-        ("terms", "i8"),  # of the even powers; of a surface that is no conic 1 at least
+        ("terms", "i8"),  # number of even powers; at least 1 unless the surface is a conic
         ("kind", "i8"),  # CONIC_AND_EVEN, WITH_ODD, BICONIC or TOROID
         ("odd", "f8", (MAX_ASPHERE_TERMS,)),
         ("odd_terms", "i8"),
-        ("curvature_x", "f8"),  # of a biconic and a toroid, whose `curvature` and `conic` are those in y
+        ("curvature_x", "f8"),  # of a biconic or toroid; `curvature` and `conic` are then for y
         ("conic_x", "f8"),
         ("vertex_z", "f8"),
         ("semi_diameter", "f8"),  # of the clear aperture
-        ("end", "f8"),  # radius at which it touches a neighbour, or a toroid turns back, and ends
-        # Bounds of the second derivatives of z in any direction, up to the radius `domain`: 0 until they are asked for.
+        ("end", "f8"),  # radius at which it ends: contact with a neighbour, or a toroid turning back
+        # Bounds of the second derivatives of z in any direction, up to the radius `domain`: 0 until computed.
         ("least_bend", "f8"),
         ("most_bend", "f8"),
         ("domain", "f8"),
         ("stop", "i8"),  # 1: outside the aperture is the stop, 0: the mount
-        ("level", "i8"),  # what a facet of its mesh stands for; the tracer says what the number means
-        ("posed", "i8"),  # 1: it stands off its place in the prescription
-        ("pose", "f8", (3, 4)),  # from the lens as prescribed, where the vertex is (0, 0, vertex_z), to where it stands
+        ("level", "i8"),  # shape that a facet of its mesh stands for; see `meshes.levels`
+        ("posed", "i8"),  # 1: displaced from its place in the prescription
+        ("pose", "f8", (3, 4)),  # from the prescription, with the vertex at (0, 0, vertex_z), to the actual place
         ("unpose", "f8", (3, 4)),  # the inverse
     ]
 )
 
 NEWTON_STEPS = 80
-"""At worst half of them halve the bracket, which float64 allows some 60 times; Newton's method takes three."""
+"""At worst half of them bisect the bracket, which float64 allows about 60 times; Newton's method takes three."""
 
 OVERSTEP = 1.125
-"""First step of the search for a bracket, over Newton's: so much further that it often holds the root already."""
+"""First step of the bracket search over Newton's step: just long enough that it often brackets the root."""
 
 STEEP = 0.5
-"""Rate of approach below which the first step is stretched no further: where the ray turns away it tells nothing."""
+"""Rate of approach below which the first step is not stretched further: it means little for a ray that turns away."""
 
 DOUBLINGS = 44
 
 SETTLED = 4e-16
-"""Newton step, over the size of the coordinates, after which float64 has no more digits."""
+"""Newton step, over the size of the coordinates, that is rounding in float64."""
 
 
 def surface(
@@ -92,18 +93,18 @@ def surface(
         inf: flat.
     conic : float
     asphere_mm : (terms,) float64
-        Coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ...; of a toroid, of y⁴, y⁶, ...
+        Coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ...; for a toroid, of y⁴, y⁶, ...
     odd_mm : (odd_terms,) float64
         Coefficients of r³, r⁵, ..., in mm⁻², mm⁻⁴, ...
     kind : int
-        BICONIC or TOROID, whose `radius_mm` and `conic` are those in y; others follow from the terms.
+        BICONIC or TOROID, with `radius_mm` and `conic` for y; other kinds follow from the terms.
     radius_x_mm, conic_x : float
         Radius of a biconic or toroid in x, and conic constant of a biconic.
     vertex_z : float, mm
     semi_diameter : float, mm
         Of the clear aperture.
     stop : bool
-        Whether its aperture is the stop.
+        True if its aperture is the stop.
     """
     record = np.zeros(1, SURFACE)[0]
     record["curvature"] = 0.0 if np.isinf(radius_mm) else 1.0 / radius_mm
@@ -130,7 +131,7 @@ def surface_of(of: Surface, **where: Any) -> np.void:
     ----------
     of : Surface
     **where
-        `vertex_z`, `semi_diameter` and `stop`, as for `surface`.
+        `vertex_z`, `semi_diameter` and `stop`, see `surface`.
     """
     shape: dict[str, Any] = {}
     if of.biconic is not None:
@@ -149,26 +150,20 @@ def is_revolved(surface: Any) -> bool:
 
 
 def put_in_pose(record: Any, pose: frame.Frame) -> None:
-    """Let a `SURFACE` record stand off its place, by a rigid motion (3, 4) of the lens as prescribed."""
+    """Displace a `SURFACE` record from the prescription by a rigid motion (3, 4)."""
     record["posed"] = not np.array_equal(pose, frame.IDENTITY)
     record["pose"], record["unpose"] = pose, frame.inverse(pose)
 
 
 def in_place(record: Any, points: ArrayLike) -> Array:
-    """Return points (n, 3) of the camera frame as the surface sees them where the prescription has it.
-
-    Parameters
-    ----------
-    record : SURFACE record
-    points : (n, 3) float64, mm
-    """
+    """Transform points (n, 3) mm from the camera frame to the nominal frame of a surface."""
     p = np.asarray(points, dtype=np.float64)
     return frame.points(record["unpose"], p) if record["posed"] else p
 
 
 @kernel
 def sag_at(s: Any, r2: float) -> float:
-    """Return the sag of a conic with even terms at squared radius r² (scalar; NaN where the surface does not reach)."""
+    """Return the sag of a conic with even terms at r² (scalar); NaN where the surface does not reach."""
     c = s.curvature
     z = c * r2 / (1.0 + np.sqrt(1.0 - (1.0 + s.conic) * c * c * r2))
     power = r2
@@ -180,7 +175,7 @@ def sag_at(s: Any, r2: float) -> float:
 
 @kernel
 def half_slope_at(s: Any, r2: float) -> float:
-    """Return dz/d(r²) of a conic with even terms: twice this times (x, y) is the gradient, on the axis too."""
+    """Return dz/d(r²) of a conic with even terms. Twice this times (x, y) is the gradient, on the axis too."""
     c = s.curvature
     slope = 0.5 * c / np.sqrt(1.0 - (1.0 + s.conic) * c * c * r2)
     power = r2
@@ -192,13 +187,7 @@ def half_slope_at(s: Any, r2: float) -> float:
 
 @kernel
 def form_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
-    """Return z, dz/dx and dz/dy of a surface of any kind; beyond its end, of how it goes on.
-
-    Parameters
-    ----------
-    s : SURFACE record
-    x, y : float, mm
-    """
+    """Return z, dz/dx and dz/dy of a surface of any kind at x, y, mm; beyond its end, of its continuation."""
     if s.kind == BICONIC:
         return _biconic_at(s.curvature_x, s.conic_x, s.curvature, s.conic, x, y)
     if s.kind == TOROID:
@@ -215,7 +204,7 @@ def form_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
 
 @kernel
 def _even_curve_at(s: Any, r2: float) -> tuple[float, float]:
-    """Return z at squared radius r² and its derivative by r over r, by the conic and the even terms."""
+    """Return z and (dz/dr) / r of the conic and the even terms at r²."""
     c = s.curvature
     root2 = 1.0 - (1.0 + s.conic) * c * c * r2
     root = np.sqrt(root2) if root2 > 0.0 else 0.0
@@ -258,7 +247,7 @@ def _toroid_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
 
 @kernel
 def _gradient_with_terms(s: Any, x: float, y: float) -> tuple[float, float]:
-    """Return dz/dx and dz/dy of a surface that is no conic."""
+    """Return dz/dx and dz/dy of a surface that is not a conic."""
     if s.kind == CONIC_AND_EVEN:
         g = 2.0 * half_slope_at(s, x * x + y * y)
         return g * x, g * y
@@ -268,7 +257,7 @@ def _gradient_with_terms(s: Any, x: float, y: float) -> tuple[float, float]:
 
 @inlined
 def normal_at(s: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the unit normal, towards +z on the sheet of the vertex, at a point of the surface.
+    """Return the unit normal at a point of the surface, towards +z on the sheet of the vertex.
 
     Parameters
     ----------
@@ -280,7 +269,7 @@ def normal_at(s: Any, x: float, y: float, z: float) -> tuple[float, float, float
         c = s.curvature
         nx, ny, nz = -c * x, -c * y, 1.0 - c * (1.0 + s.conic) * z
         if s.conic == 0.0:
-            # A sphere's is of unit length as it stands, to the rounding of the point.
+            # For a sphere this has unit length, to the rounding of the point.
             return nx, ny, nz
     else:
         gx, gy = _gradient_with_terms(s, x, y)
@@ -291,12 +280,11 @@ def normal_at(s: Any, x: float, y: float, z: float) -> tuple[float, float, float
 
 @inlined
 def conic_distance(c: float, k: float, ray: Ray, sense: float) -> tuple[bool, float]:
-    """Return whether, and at which distance t along the ray, it crosses a conic in a given sense.
+    """Return whether a ray crosses a conic in a given sense, and the distance t.
 
-    Of the quadratic's two roots, one crosses along the normal (towards +z on the vertex's sheet), the other against
-    it, and a caller that knows the medium it is in knows which it wants. The caller starts from a point close to the
-    surface (where the ray crosses the facet that Embree found), so t is a small correction, of either sign, and its
-    rounding error is that of the facet's size, not of the ray's length.
+    One root of the quadratic crosses along the normal (towards +z on the vertex's sheet), the other against it. The ray
+    starts close to the surface, at the facet found by Embree. t is therefore a small correction of either sign, with a
+    rounding error of the facet's size, not of the ray's length.
 
     Parameters
     ----------
@@ -311,8 +299,8 @@ def conic_distance(c: float, k: float, ray: Ray, sense: float) -> tuple[bool, fl
     root = b * b - a * g
     if not root >= 0.0:
         return False, 0.0
-    # Normal · direction is sense · sqrt(root) at t = (−b − sense √) / a = g / (−b + sense √): take the form in which
-    # nothing cancels.
+    # Normal · direction is sense · sqrt(root) at t = (−b − sense √) / a = g / (−b + sense √): take the form without
+    # cancellation.
     signed = np.copysign(np.sqrt(root), sense)
     above, below = g, signed - b
     if signed * b > 0.0:
@@ -324,7 +312,7 @@ def conic_distance(c: float, k: float, ray: Ray, sense: float) -> tuple[bool, fl
 
 @kernel
 def _height(s: Any, ray: Ray, t: float) -> float:
-    """Return how far the ray's point at t stands above a conic with even terms, along z."""
+    """Return the height of the ray's point at t above a conic with even terms, along z."""
     x, y, z, dx, dy, dz = ray
     px, py = x + t * dx, y + t * dy
     return z + t * dz - sag_at(s, px * px + py * py)
@@ -339,7 +327,7 @@ def _rate(s: Any, ray: Ray, t: float) -> float:
 
 @kernel
 def _height_by_form(s: Any, ray: Ray, t: float) -> float:
-    """Return how far the ray's point at t stands above a surface of any kind, along z."""
+    """Return the height of the ray's point at t above a surface of any kind, along z."""
     x, y, z, dx, dy, dz = ray
     return z + t * dz - form_at(s, x + t * dx, y + t * dy)[0]
 
@@ -352,14 +340,14 @@ def _rate_by_form(s: Any, ray: Ray, t: float) -> float:
 
 
 def _searcher(height_at: Any, rate_at: Any) -> Any:
-    """Return the search for a crossing by the height above a kind of surface, and its rate along the ray.
+    """Return the search for a crossing, from the height above a kind of surface and its rate along the ray.
 
-    A kernel for each: in one for all, the way through the surface's kind costs an even asphere a sixth of its time.
+    Each kind has its own kernel: branching on the kind in one kernel would cost an even asphere a sixth of its time.
     """
 
     @kernel
     def newton(s: Any, ray: Ray, low: float, high: float, at_low: float) -> tuple[bool, float]:
-        """Return the root of the height between low and high: by Newton's method, or by bisection where that leaves."""
+        """Return the root of the height between low and high, by Newton's method with bisection as the fallback."""
         scale = abs(ray.x) + abs(ray.y) + abs(ray.z)
         t = high
         for _ in range(NEWTON_STEPS):
@@ -379,16 +367,15 @@ def _searcher(height_at: Any, rate_at: Any) -> Any:
 
     @kernel
     def search(s: Any, ray: Ray, sense: float, of_conic: float) -> tuple[bool, float]:
-        """Return the crossing next to the ray's start, in a given sense: bracketed, then by Newton's method.
+        """Return the crossing nearest to the ray's start, in a given sense: bracketed, then by Newton's method.
 
-        A ray may cross such a surface more than twice, and its conic part may lie far from it. On which side of the
-        surface the start lies tells which way the crossing does: one that is still in front of the surface goes on, one
-        that has passed it goes back.
+        A ray may cross such a surface more than twice, and its conic part may lie far from it. The start's side of the
+        surface gives the direction of the search: forwards if still in front of the surface, backwards if past it.
         """
         low = 0.0
         here = height_at(s, ray, low)
         if not abs(here) < np.inf:
-            # A facet's edge reaches beyond the end of its surface.
+            # The edge of a facet extends beyond the end of its surface.
             low = of_conic
             here = height_at(s, ray, low)
         if here == 0.0:
@@ -416,21 +403,21 @@ _first_crossing = crossing_finder(form_at)
 
 @kernel
 def first_crossing(s: Any, ray: Ray, sense: float, begin: float, end: float, in_front: bool) -> tuple[bool, float]:
-    """Return whether and where a ray first crosses a surface inside its `domain`, however it grazes it.
+    """Return whether a ray crosses a surface inside its `domain`, and the first distance, even at grazing incidence.
 
     Parameters
     ----------
     s : SURFACE record
-        That has its bends, see `bends.set_bends`.
+        With its bends, see `bends.set_bends`.
     ray : Ray
         From the vertex.
     sense : float
         1 to cross along the normal, −1 against it.
     begin, end : float, mm
-        Distances between which it is looked for.
+        Range of the search.
     in_front : bool
-        The ray begins in front of the surface or on it, but for rounding: it crosses the surface there if it goes on,
-        and not if it leaves it.
+        The ray begins in front of the surface or, to rounding, on it. From there it crosses the surface only if it
+        enters.
     """
     x, y, z, dx, dy, dz = ray
     a, b, c = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y - s.domain * s.domain
@@ -445,7 +432,7 @@ def first_crossing(s: Any, ray: Ray, sense: float, begin: float, end: float, in_
         return False, 0.0
     sag, _, _ = form_at(s, x + begin * dx, y + begin * dy)
     if not (in_front or sense * (sag - z - begin * dz) > 0.0):
-        # It comes from beside the surface, and not from the side that it would be crossed from.
+        # It comes from beside the surface, on the wrong side for this crossing.
         return False, 0.0
     most = a * max(-s.least_bend if sense > 0.0 else s.most_bend, 0.0)
     return _first_crossing(s, ray, sense, most, begin, end)
@@ -457,7 +444,7 @@ _distance_by_form = _searcher(_height_by_form, _rate_by_form)
 
 @inlined
 def distance_to(s: Any, ray: Ray, sense: float) -> tuple[bool, float]:
-    """Return whether and where a ray that starts close to a surface crosses it; see `conic_distance`.
+    """Return whether a ray that starts close to a surface crosses it, and the distance; see `conic_distance`.
 
     Parameters
     ----------

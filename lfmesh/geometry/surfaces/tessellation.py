@@ -1,7 +1,6 @@
-"""From exact surfaces to meshes: caps, the rings that close the space between two caps, solids.
+"""Meshes of exact surfaces: caps, rings that close the space between two caps, solids.
 
-All caps of one lens have the same number of rings of triangles, so that the rims of neighbouring surfaces have the
-same number of vertices at the same azimuths and a ring joins them without a gap.
+All caps of a lens have the same number of triangle rings, so that a ring joins neighbouring rims without a gap.
 """
 
 from functools import cache
@@ -16,34 +15,35 @@ from lfmesh.geometry.surfaces.sag import gradients, heights, normals, reach, sag
 from lfmesh.geometry.surfaces.surface import in_place, is_revolved
 
 OVERREACH = 0.02
-"""Relative reach of a mesh beyond its clear aperture, which itself is cut in float64."""
+"""Relative extent of a mesh beyond its clear aperture; the aperture itself is tested in float64."""
 
 FLOAT32_MARGIN = 2.0**-20
-"""Some roundings of a float32 coordinate, relative."""
+"""A few float32 roundings, relative."""
 
 MAX_RINGS = 120
 
 AZIMUTHS = 96
-"""Points on a circle of a surface at which its gap to another is measured that stands askew to it."""
+"""Points on a circle of a surface at which the gap to a tilted neighbour is measured."""
 
 ALL_ROUND = np.linspace(0.0, 2.0 * np.pi, 97)
-"""Azimuths at which a surface is sampled that is none of revolution, to divide its mesh; every eighth of a turn is one.
+"""Sampling azimuths for the mesh of a surface that is not of revolution; every eighth of a turn is one.
 
-They set how fine a mesh is. Proofs use the bounds of `bends`."""
+They set the mesh density only. Proofs use the bounds of `bends`.
+"""
 
 QUADRATIC = 4.0 / 3.0
-"""Largest deviation of a triangle from a quadratic surface over its deviation at the middles of its edges: that of an
-equilateral one from a paraboloid, whose middle lies as far off as a circle's that goes round it."""
+"""Largest deviation of a triangle from a quadratic surface over that at its edge midpoints; an equilateral one on a
+paraboloid reaches it."""
 
 HIGHER_ORDERS = 1.25
-"""Factor on that for what a surface has beyond quadratic terms within a facet."""
+"""Factor on that for terms beyond the quadratic within a facet."""
 
 
 @cache
 def disk_pattern(rings: int) -> tuple[Index, Array, Index]:
-    """Return the topology of a disk: (v,) ring of each vertex, (v,) azimuth in rad, (f, 3) faces facing +z.
+    """Return the topology of a disk: ring (v,) and azimuth (v,) rad of each vertex, and faces (f, 3) facing +z.
 
-    Ring i has 6 i vertices, so that triangles stay near equilateral: 6 rings² faces in all.
+    Ring i has 6 i vertices, so that triangles are nearly equilateral: 6 rings² faces in all.
     """
     ring = np.repeat(np.arange(rings + 1), [1, *(6 * i for i in range(1, rings + 1))])
     azimuth = np.concatenate([[0.0], *(2 * np.pi * np.arange(6 * i) / (6 * i) for i in range(1, rings + 1))])
@@ -63,14 +63,14 @@ def disk_pattern(rings: int) -> tuple[Index, Array, Index]:
 
 
 def last_radius(surface: Any) -> float:
-    """Return the largest radius at which the sag is sure to be a number."""
+    """Return the largest radius with a finite sag."""
     return reach(surface) * (1.0 - 4.0 * np.finfo(np.float64).eps)
 
 
 def rim_radius(surface: Any, rings: int, overreach: float = OVERREACH) -> float:
-    """Return the radius of the mesh's rim: its edges, chords of that circle, stay outside the clear aperture.
+    """Return the radius of the mesh's rim; its edges, chords of that circle, stay outside the clear aperture.
 
-    Where the surface ends before, its last circle is what they stay outside of, by more than a float32 query rounds.
+    If the surface ends earlier, they stay outside its end instead, by more than the rounding of a float32 query.
 
     Parameters
     ----------
@@ -78,26 +78,26 @@ def rim_radius(surface: Any, rings: int, overreach: float = OVERREACH) -> float:
     rings : int
         Rings of triangles.
     overreach : float
-        Share of the aperture by which the mesh goes beyond it.
+        Relative extent of the mesh beyond the aperture.
     """
     inner = min(surface["semi_diameter"] * (1.0 + overreach), last_radius(surface) * (1.0 + FLOAT32_MARGIN))
     return float(inner / np.cos(np.pi / (6 * rings)))
 
 
 def mesh_sag(surface: Any, r: ArrayLike) -> Array:
-    """Return the sag that a mesh has at radii `r`: beyond the surface's end, that of its end."""
+    """Return the sag of a mesh at radii `r`: beyond the surface's end, that of its end."""
     return sag(surface, np.minimum(r, last_radius(surface)))
 
 
 def mesh_heights(surface: Any, x: ArrayLike, y: ArrayLike, most: float = np.inf) -> Array:
-    """Return z above the vertex that a mesh has at points (x, y) of one shape: beyond the end, that of its end.
+    """Return z of a mesh above the vertex at points (x, y) of one shape: beyond the end, that of the end.
 
     Parameters
     ----------
     surface : SURFACE record
     x, y : float64, mm
     most : float, mm
-        Radius beyond which z is that of this radius.
+        Radius beyond which z is constant.
     """
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     r, most = np.hypot(x, y), min(most, last_radius(surface))
@@ -108,13 +108,7 @@ def mesh_heights(surface: Any, x: ArrayLike, y: ArrayLike, most: float = np.inf)
 
 
 def steepness(surface: Any, r: ArrayLike) -> Array:
-    """Return the largest slope that a surface has at radii (n,), at any azimuth.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    r : (n,) float64, mm
-    """
+    """Return the largest slope of a surface at radii (n,), mm, over all azimuths."""
     r = np.asarray(r, dtype=np.float64)
     if is_revolved(surface):
         return np.abs(slope(surface, r))
@@ -123,15 +117,8 @@ def steepness(surface: Any, r: ArrayLike) -> Array:
 
 
 def ring_radii(surface: Any, rings: int, rim: float) -> Array:
-    """Return (rings + 1,) radii equally spaced along the meridian's arc, so that steep rims get their share.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    rings : int
-    rim : float, mm
-    """
-    # Sampled in the angle of a quarter turn, whose points crowd at the rim, where a hemisphere's slope runs away.
+    """Return radii (rings + 1,) spaced equally along the meridian's arc, to resolve steep rims."""
+    # Sampled equally in angle over a quarter turn: points crowd at the rim, where a hemisphere's slope diverges.
     fine = min(rim, last_radius(surface)) * np.sin(np.linspace(0.0, 0.5 * np.pi, 2049))
     if is_revolved(surface):
         rise = np.diff(sag(surface, fine))
@@ -145,20 +132,13 @@ def ring_radii(surface: Any, rings: int, rim: float) -> Array:
 
 
 def cap(surface: Any, rings: int, rim: float) -> Mesh:
-    """Return the mesh of a surface out to `rim`, facing +z, in the frame of the lens, with exact corner normals.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    rings : int
-    rim : float, mm
-    """
+    """Return the mesh of a surface out to `rim`, facing +z, in the frame of the lens, with exact corner normals."""
     ring, azimuth, faces = disk_pattern(rings)
     return disk_mesh(surface, ring_radii(surface, rings, rim)[ring], azimuth, faces)
 
 
 def disk_mesh(surface: Any, r: Array, azimuth: Array, faces: Index) -> Mesh:
-    """Return the mesh of a surface with given vertices and faces, in the frame of the lens, with exact corner normals.
+    """Return the mesh of a surface with given vertices and faces; see `cap`.
 
     Parameters
     ----------
@@ -178,7 +158,7 @@ def disk_mesh(surface: Any, r: Array, azimuth: Array, faces: Index) -> Mesh:
 def revolved(profile: Array, azimuths: int) -> Mesh:
     """Return the mesh of a meridional polyline (n, 2) of (r, z) turned about the axis.
 
-    It faces the axis where the polyline runs towards +z. The azimuths are those of a cap's rim: the ends meet it.
+    It faces the axis where the polyline runs towards +z. Its azimuths match a cap's rim.
     """
     phi = 2 * np.pi * np.arange(azimuths) / azimuths
     r, z = profile[:, :1], profile[:, 1:]
@@ -187,9 +167,9 @@ def revolved(profile: Array, azimuths: int) -> Mesh:
 
 
 def strip(circles: Array) -> Mesh:
-    """Return the mesh of the strips between neighbouring closed lines of points, (lines, points, 3) mm.
+    """Return the mesh of the strips between neighbouring closed polylines, (lines, points, 3) mm.
 
-    It faces inwards where the lines follow each other towards +z and run from x to y.
+    It faces inwards if successive lines advance towards +z and run from x to y.
     """
     lines, count, _ = circles.shape
     here = np.arange(count)
@@ -200,19 +180,12 @@ def strip(circles: Array) -> Mesh:
         faces.append(np.column_stack([low + here, high + here, low + there]))
         faces.append(np.column_stack([low + there, high + here, high + there]))
     mesh = Mesh(circles.reshape(-1, 3), np.concatenate(faces).astype(np.int64))
-    # Ends that touch leave nothing to close between them.
+    # Lines that touch leave facets without area.
     return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
 
 
 def chord_error(surface: Any, rings: int, rim: float) -> float:
-    """Return a bound of the distance along z between the surface and its mesh, mm: along meridian and parallel.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    rings : int
-    rim : float, mm
-    """
+    """Return a bound of the distance along z between a surface and its mesh, mm, along meridian and parallel."""
     if not is_revolved(surface):
         return _facet_error(surface, cap(surface, rings, rim))
     r = ring_radii(surface, rings, rim)
@@ -230,8 +203,8 @@ def chord_error(surface: Any, rings: int, rim: float) -> float:
 def _facet_error(surface: Any, mesh: Mesh) -> float:
     """Return a bound of the distance along z between a surface and its mesh, mm, by the middles of all edges.
 
-    Of a quadratic surface a triangle is off the most on an edge, where the surface is a saddle there or the triangle
-    obtuse as its curvature sees it; else by up to `QUADRATIC` times that.
+    On a quadratic surface, the deviation of a triangle is largest on an edge if the surface is a saddle or the triangle
+    obtuse in the metric of its curvature. Otherwise it is at most `QUADRATIC` times larger.
     """
     corners = mesh.vertices[mesh.faces]
     middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
@@ -240,7 +213,7 @@ def _facet_error(surface: Any, mesh: Mesh) -> float:
 
 
 def rings_for(surfaces: NDArray[np.void], least: int, tolerance_mm: float = np.inf) -> int:
-    """Return how many rings keep every mesh within a sag tolerance.
+    """Return the number of rings that keep every mesh within a sag tolerance.
 
     Parameters
     ----------
@@ -248,7 +221,6 @@ def rings_for(surfaces: NDArray[np.void], least: int, tolerance_mm: float = np.i
     least : int
         Rings to begin with.
     tolerance_mm : float
-        Of the sag.
     """
     rings = least
     while rings < MAX_RINGS:
@@ -261,19 +233,12 @@ def rings_for(surfaces: NDArray[np.void], least: int, tolerance_mm: float = np.i
 
 
 def stand_together(front: Any, back: Any) -> bool:
-    """Tell whether two surfaces stand to each other as prescribed: no pose has moved one against the other."""
+    """Tell whether two surfaces have the same pose, so that their relative position is as prescribed."""
     return np.array_equal(front["pose"], back["pose"])
 
 
 def on_circles(record: Any, r: Array, azimuths: int = AZIMUTHS) -> Array:
-    """Return points (len(r), azimuths, 3) of a surface on circles about its axis, where it stands, mm.
-
-    Parameters
-    ----------
-    record : SURFACE record
-    r : (n,) float64, mm
-    azimuths : int
-    """
+    """Return points (len(r), azimuths, 3) of a posed surface on circles of radii r about its axis, mm."""
     x, y = _circles(r, azimuths)
     z = np.broadcast_to(record["vertex_z"] + heights_on_circles(record, r, azimuths), x.shape)
     points = np.stack([x, y, z], axis=-1)
@@ -281,9 +246,9 @@ def on_circles(record: Any, r: Array, azimuths: int = AZIMUTHS) -> Array:
 
 
 def heights_on_circles(record: Any, r: Array, azimuths: int = AZIMUTHS) -> Array:
-    """Return the heights of a surface over its vertex on circles about its axis, (n, azimuths) mm, in its own place.
+    """Return the heights of a surface over its vertex on circles about its axis, (n, azimuths) mm.
 
-    Of a surface of revolution (n, 1).
+    For a surface of revolution, the shape is (n, 1). Poses are ignored.
 
     Parameters
     ----------
@@ -302,25 +267,12 @@ def _circles(r: Array, azimuths: int) -> tuple[Array, Array]:
 
 
 def height_above(record: Any, points: Array) -> tuple[Array, Array]:
-    """Return how far points stand above a surface along its axis, and their distances from that axis, mm.
-
-    Parameters
-    ----------
-    record : SURFACE record
-    points : (..., 3) float64, mm, camera frame
-    """
+    """Return the heights of points (..., 3), camera frame, above a surface, and their distances from its axis, mm."""
     p = in_place(record, points)
     r = np.hypot(p[..., 0], p[..., 1])
     return p[..., 2] - record["vertex_z"] - mesh_heights(record, p[..., 0], p[..., 1]), r
 
 
 def element(front: Mesh, ring: Mesh, back: Mesh) -> Mesh:
-    """Return the closed solid between two caps (facing +z) and the ring (facing the axis), outward-oriented.
-
-    Parameters
-    ----------
-    front, back : Mesh
-        The caps.
-    ring : Mesh
-    """
+    """Return the closed, outward-facing solid between two caps (facing +z) and the ring (facing the axis)."""
     return joined([front.flipped(), ring.flipped(), back])

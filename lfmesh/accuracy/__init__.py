@@ -1,1 +1,1 @@
-"""The program examined: speed against error, and hard cases."""
+"""Accuracy studies: speed against error, and hard cases."""

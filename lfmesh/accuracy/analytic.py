@@ -1,9 +1,8 @@
-"""Sequential trace through the analytic surfaces, without meshes: the truth that the tracer is measured against.
+"""Sequential trace through the analytic surfaces, without meshes: the truth for the tracer's errors.
 
-It shares no code with the engine. Surfaces are met by Welford's transfer formulae (Aberrations of Optical Systems,
-1986, chapter 4) and, with aspheric terms, Newton's method from there; bending is Snell's law in vector form, weights
-are Fresnel's transmittances. It works in any of numpy's floating types: the difference between float64 and extended
-precision is the truth's own error.
+It shares no code with the engine. Rays are transferred by Welford's formulae (Aberrations of Optical Systems, 1986,
+chapter 4) and Newton's method for aspheric terms, refracted by Snell's law in vector form, and weighted by Fresnel's
+transmittances. The difference between float64 and extended precision is the error of the truth itself.
 
 Camera frame throughout: z along the axis from object to sensor, origin at the first vertex, mm.
 """
@@ -41,10 +40,10 @@ class Interface:
     index_before: float
     index_after: float
     turn: NDArray[np.float64] | None = None
-    """Rotation of a posed element, and where the origin goes; None: the surface stands as prescribed."""
+    """Rotation of a posed element, with `origin` as its shift; None: the surface is as prescribed."""
     origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     thin_power: float = 0.0
-    """Of a thin lens in place of an interface, 1/mm."""
+    """Power of a thin lens in place of an interface, 1/mm."""
     odd: tuple[float, ...] = ()
     """Coefficients of r³, r⁵, ..."""
 
@@ -58,9 +57,9 @@ class Landing:
     position : (n, 2) float, mm
         x and y in the sensor's frame; NaN for a ray that does not arrive.
     weight : (n,) float
-        Share of the ray's power that is left: the product of Fresnel's transmittances.
+        Remaining fraction of the ray's power: the product of Fresnel's transmittances.
     arrives : (n,) bool
-        False for a ray that an aperture stops, that misses a surface, or that is reflected totally.
+        False if the ray is stopped by an aperture, misses a surface, or is totally reflected.
     """
 
     position: Array
@@ -70,7 +69,7 @@ class Landing:
 
 @dataclass(frozen=True)
 class Camera:
-    """Everything on a ray's way from the first vertex to the sensor, at one wavelength."""
+    """The optical path from the first vertex to the sensor, at one wavelength."""
 
     interfaces: tuple[Interface, ...]
     mla: LensletArray | None
@@ -87,12 +86,12 @@ class Camera:
         scene : Scene
         wavelength_nm : float, nm
         precision : type
-            Of all numbers: `numpy.float64` or `numpy.longdouble`.
+            `numpy.float64` or `numpy.longdouble`.
 
         Raises
         ------
         LfmeshError
-            A surface of the lens is a mesh from a file: it has no analytic truth.
+            A surface of the lens has no analytic truth: a mesh from a file, or a surface not of revolution.
         """
         scene = solved(scene)
         lens, camera = scene.camera.lens, scene.camera
@@ -134,7 +133,7 @@ class Camera:
         Parameters
         ----------
         origins, directions : (n, 3) float
-            Camera frame; every ray starts before the first surface and runs towards +z.
+            Camera frame; rays start in front of the first surface and run towards +z.
         """
         kind = self.precision
         d: Array = np.array(directions, dtype=kind)
@@ -153,16 +152,16 @@ class Camera:
 
 
 def own_error(scene: Scene, wavelength_nm: float, origins: ArrayLike, directions: ArrayLike) -> float | None:
-    """Return the largest difference in mm between the truth in float64 and in extended precision.
+    """Return the largest difference between the truth in float64 and in extended precision, mm.
 
-    None on a platform whose long double is a float64.
+    None if the platform has 64-bit long doubles.
 
     Parameters
     ----------
     scene : Scene
     wavelength_nm : float, nm
     origins, directions : (n, 3) float64
-        As `Camera.land` takes them.
+        See `Camera.land`.
     """
     if np.finfo(np.longdouble).eps >= np.finfo(np.float64).eps:
         return None
@@ -175,7 +174,7 @@ def own_error(scene: Scene, wavelength_nm: float, origins: ArrayLike, directions
 
 
 def _placed(lens: Lens, number: int) -> tuple[NDArray[np.float64] | None, NDArray[np.float64]]:
-    """Return rotation and shifted origin of a surface by the pose of its element; no rotation where it has none."""
+    """Return rotation and shifted origin of a surface from its element's pose; the rotation may be None."""
     which = lens.element_of(number)
     if which is None:
         return None, np.zeros(3)
@@ -232,7 +231,7 @@ def _sag_rate(s: Interface, r2: Array) -> Array:
 
 
 def _asphere_transfer(p: Array, d: Array, s: Interface, t: Array) -> Array:
-    """Improve the conic's distance by Newton's method until every ray has settled."""
+    """Refine the conic's distance by Newton's method until every ray has settled."""
     for _ in range(NEWTON_STEPS):
         q = p + t[:, None] * d
         r2 = q[:, 0] ** 2 + q[:, 1] ** 2

@@ -1,4 +1,4 @@
-"""Microlens array of the analytic truth: every lenslet's face, and rays through both faces. See `analytic`."""
+"""Microlens array of the analytic truth; see `analytic`."""
 
 from dataclasses import dataclass, replace
 
@@ -21,17 +21,17 @@ from lfmesh.optics.glass import AIR, refractive_index
 from lfmesh.scene import BackFace, Scene
 
 CELL_STEPS = 6
-"""Lenslets tried in turn: a ray may meet its neighbour's cap before the one that its first guess lies in."""
+"""Lenslets tried in turn: a ray may meet a neighbour of the lenslet guessed first."""
 
 
 @dataclass(frozen=True)
 class LensletArray:
-    """The microlens array: every lenslet's face, and where the array stands.
+    """The faces of all lenslets, and the position of the array.
 
     Attributes
     ----------
     turn : (3, 3) float64, origin : (3,) float64
-        Of the frame whose z runs from the curved face into the glass.
+        Frame of the array; its z runs from the curved face into the glass.
     curvature : (rows, columns) float64, 1/mm
     apex : (rows, columns, 2) float64, mm
     centre : (rows, columns, 2) float64, mm
@@ -39,9 +39,9 @@ class LensletArray:
     terms : (rows, columns, n) float64
         Coefficients of r⁴, r⁶, ...
     bends : (2,) float64
-        1 for each of x and y, but 0 for that along cylinders.
+        1 for each of x and y, but 0 along cylinders.
     back : LensletArray or None
-        Lenslets on the other face, in a frame of their own, which looks the other way.
+        Lenslets on the other face, in their own frame, which looks the other way.
     """
 
     turn: NDArray[np.float64]
@@ -66,20 +66,13 @@ class LensletArray:
 
 
 def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletArray:
-    """Return the microlens array of a scene whose face towards the lens stands at `face_z`.
-
-    Parameters
-    ----------
-    scene : Scene
-    face_z : float, mm
-    wavelength_nm : float, nm
-    """
+    """Return the microlens array of a scene, with its face towards the lens at `face_z`, mm."""
     mla = scene.camera.mla
     assert mla is not None
     lattice = Lattice(
         mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
     )
-    # What the form errors are is data, drawn from the scene's seed; what rays do there is worked out here.
+    # The form errors are data, drawn from the scene's seed; their effect on rays is computed here.
     drawn = lenslets(
         lattice, np.asarray(mla.radius_mm, np.float64), mla.thickness_mm,
         decenter_mm=mla.form.decenter_mm, radius_error=mla.form.radius_error, seed=mla.form.seed,
@@ -106,7 +99,7 @@ def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletA
     origin = np.add([0.0, 0.0, face_z], mla.pose.shift_mm)
     to_lens = mla.curved_side == "lens"
     if not to_lens:
-        # The curved face stands at the far side, and its own z looks back.
+        # The curved face is on the far side, and its own z points back.
         origin = origin + turn @ [0.0, 0.0, mla.thickness_mm]
         turn = turn @ np.diag([1.0, 1.0, -1.0])
     index = refractive_index(mla.medium, wavelength_nm)
@@ -138,7 +131,7 @@ def _other_face(face: LensletArray, back: BackFace) -> LensletArray:
 
 
 def through_array(rays: Rays, mla: LensletArray) -> None:
-    """Take the rays through both faces of the array, in whichever order they come."""
+    """Trace the rays through both faces of the array, in either order."""
     if mla.back is not None:
         order = (mla, mla.back) if mla.curved_to_lens else (mla.back, mla)
         for face, (before, after) in zip(order, ((AIR, mla.index), (mla.index, AIR)), strict=True):
@@ -160,16 +153,16 @@ def _through_flat_face(rays: Rays, mla: LensletArray, before: float, after: floa
     kind = rays.p.dtype.type
     t = (kind(mla.thickness) - rays.p[:, 2]) / rays.d[:, 2]
     rays.p = rays.p + t[:, None] * rays.d
-    # Between the faces a ray may leave through the array's edge.
+    # Between the faces a ray may exit through the array's edge.
     rays.alive &= _nearest_cell(mla, rays.p) >= 0
     along = np.sign(rays.d[:, 2])
     refract(rays, np.stack([np.zeros_like(t), np.zeros_like(t), along], axis=1), before, after)
 
 
 def _through_lenslets(rays: Rays, mla: LensletArray, before: float, after: float) -> None:
-    """Refract the rays at the face of the lenslet in whose cell they meet it.
+    """Refract the rays at the face of the lenslet in the cell where they meet it.
 
-    A ray whose cell does not settle crosses the wall between unlike lenslets; it is left out.
+    Rays without a settled cell, which cross the wall between unlike lenslets, are dropped.
     """
     kind = rays.p.dtype.type
     to_apexes = -rays.p[:, 2] / rays.d[:, 2]
@@ -202,7 +195,7 @@ def _through_lenslets(rays: Rays, mla: LensletArray, before: float, after: float
 
 
 def _profile(mla: LensletArray, cell: NDArray[np.int64], c: Array, q: Array) -> tuple[Array, Array]:
-    """Return the sag and the slopes (n, 2) of lenslets that are no spheres, at points from their apexes."""
+    """Return the sag and the slopes (n, 2) of aspheric lenslets at points from their apexes."""
     kind = q.dtype.type
     across = q[:, :2] * mla.bends.astype(kind)
     r2 = (across * across).sum(axis=1)
@@ -215,7 +208,7 @@ def _profile(mla: LensletArray, cell: NDArray[np.int64], c: Array, q: Array) -> 
 
 
 def _profile_transfer(p: Array, d: Array, mla: LensletArray, cell: NDArray[np.int64], c: Array) -> Array:
-    """Return the distances to the faces of lenslets that are no spheres, by Newton's method from the apexes."""
+    """Return the distances to the faces of aspheric lenslets, by Newton's method from the apexes."""
     t = -p[:, 2] / d[:, 2]
     for _ in range(NEWTON_STEPS):
         q = p + t[:, None] * d
@@ -228,7 +221,7 @@ def _profile_transfer(p: Array, d: Array, mla: LensletArray, cell: NDArray[np.in
 
 
 def _nearest_cell(mla: LensletArray, p: Array) -> NDArray[np.int64]:
-    """Return the number of the cell whose centre is nearest to each point; −1 outside the array."""
+    """Return the cell with the nearest centre to each point; −1 outside the array."""
     rows, columns = mla.curvature.shape
     x, y = p[:, 0].astype(np.float64) / mla.pitch, p[:, 1].astype(np.float64) / mla.pitch
     far = 2.0 * (rows + columns)

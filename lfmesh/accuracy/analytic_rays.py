@@ -1,7 +1,4 @@
-"""Rays of the analytic truth: a bundle under way, frames, the way to a conic, and Snell's and Fresnel's laws.
-
-See `analytic`, whose camera they pass.
-"""
+"""Rays of the analytic truth: bundles, frames, transfer to a conic, Snell's and Fresnel's laws. See `analytic`."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +13,7 @@ NEWTON_STEPS = 30
 
 @dataclass
 class Rays:
-    """A bundle under way."""
+    """A bundle of rays under way."""
 
     p: Array
     d: Array
@@ -34,30 +31,15 @@ def turned(tilt_deg: ArrayLike) -> NDArray[np.float64]:
 
 
 def into_frame(rays: Rays, turn: NDArray[np.float64], origin: NDArray[np.float64]) -> tuple[Array, Array]:
-    """Return positions and directions in a frame that stands at `origin`, turned by `turn`.
-
-    Parameters
-    ----------
-    rays : Rays
-    turn : (3, 3) float64
-    origin : (3,) float64, mm
-    """
+    """Return positions and directions in a frame with its origin at `origin`, mm, turned by `turn` (3, 3)."""
     kind = rays.p.dtype
-    # Columns of the turn are the frame's axes: a row vector times it has the frame's coordinates.
+    # The columns of the turn are the frame's axes: a row vector times it has the frame's coordinates.
     axes = turn.astype(kind)
     return (rays.p - origin.astype(kind)) @ axes, rays.d @ axes
 
 
 def out_of_frame(p: Array, d: Array, turn: NDArray[np.float64], origin: NDArray[np.float64]) -> tuple[Array, Array]:
-    """Return positions and directions from a frame back in that in which it stands.
-
-    Parameters
-    ----------
-    p, d : (n, 3) float
-        Positions, mm, and directions in the frame.
-    turn : (3, 3) float64
-    origin : (3,) float64, mm
-    """
+    """Return positions and directions in the outer frame; the inverse of `into_frame`."""
     back = turn.astype(p.dtype).T
     return p @ back + origin.astype(p.dtype), d @ back
 
@@ -74,7 +56,7 @@ def conic_transfer(p: Array, d: Array, c: Any, k: Any) -> Array:
     k : float
         Conic constant.
     """
-    # To the vertex's plane first: what follows is then small, and keeps its digits.
+    # Transfer to the vertex's plane first: the rest is then small and keeps its digits.
     to_plane = -p[:, 2] / d[:, 2]
     x, y = p[:, 0] + to_plane * d[:, 0], p[:, 1] + to_plane * d[:, 1]
     f = c * (x * x + y * y)
@@ -83,7 +65,7 @@ def conic_transfer(p: Array, d: Array, c: Any, k: Any) -> Array:
 
 
 def refract(rays: Rays, normal: Array, before: float, after: float) -> None:
-    """Bend the rays by Snell's law, n' d' − n d parallel to the normal, and weigh them by Fresnel's transmittance.
+    """Refract the rays by Snell's law, n' d' − n d parallel to the normal, and weight them by Fresnel's transmittance.
 
     Parameters
     ----------

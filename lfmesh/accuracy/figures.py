@@ -1,6 +1,6 @@
-"""The figures of the accuracy report: drawn onto axes of matplotlib, and as SVG that stands by itself in a page.
+"""The figures of the accuracy report, on matplotlib axes and as self-contained SVG.
 
-matplotlib is imported inside the functions: a table needs none.
+matplotlib is imported inside the functions: tables do not need it.
 """
 
 import io
@@ -18,21 +18,21 @@ WAY_MARKERS = ("s", "^", "v", "D", "o", "P")
 GREY = "#666666"
 
 SIZE_IN = (8.2, 4.4)
-"""Of a figure in the page, whose text is that wide."""
+"""Size of a figure in the page; the text has the same width."""
 
 LEAST_MM = 1e-16
 """Errors of exactly zero are drawn here."""
 
 
 def draw_error_against_triangles(axes: Any, rows: Sequence[LensRow], pixel_mm: float) -> None:
-    """Draw landing error against triangles a surface, rms and largest, one line for each level.
+    """Draw landing error against triangles per surface, rms and largest, one line per level.
 
     Parameters
     ----------
     axes : matplotlib Axes
     rows : sequence of LensRow
     pixel_mm : float, mm
-        Pitch of the sensor; a tenth of it is marked.
+        Pixel pitch; a tenth of it is marked.
     """
     from matplotlib.lines import Line2D
 
@@ -48,7 +48,7 @@ def draw_error_against_triangles(axes: Any, rows: Sequence[LensRow], pixel_mm: f
     axes.set(xscale="log", yscale="log", xlabel="triangles a surface", ylabel="error where a ray lands / mm")
     _plain_counts(axes.xaxis)
     low, high = axes.get_xlim()
-    # Room for the levels' names.
+    # Make room for the levels' names.
     axes.set_xlim(low, high * (high / low) ** 0.1)
     _tenth_of_a_pixel(axes, pixel_mm)
     kinds = [Line2D([], [], color=GREY, ls=style) for style in ("-", ":")]
@@ -56,14 +56,9 @@ def draw_error_against_triangles(axes: Any, rows: Sequence[LensRow], pixel_mm: f
 
 
 def draw_error_against_time(axes: Any, rows: Sequence[LensRow], pixel_mm: float) -> None:
-    """Draw landing error against the time of an event, one line for each level, its coarsest and finest mesh named.
+    """Draw landing error against time per event, one line per level, with its coarsest and finest mesh labelled.
 
-    Parameters
-    ----------
-    axes : matplotlib Axes
-    rows : sequence of LensRow
-    pixel_mm : float, mm
-        Pitch of the sensor; a tenth of it is marked.
+    For the parameters, see `draw_error_against_triangles`.
     """
     for level, of_level in _by_level(rows):
         x = [1e9 / row.events_per_second for row in of_level]
@@ -71,7 +66,7 @@ def draw_error_against_time(axes: Any, rows: Sequence[LensRow], pixel_mm: float)
         axes.plot(x, y, MARKERS[level] + "-", color=COLOURS[level], label=level, ms=5, lw=1)
         ends = {0, len(of_level) - 1}
         for i in ends:
-            # The names stand on the outer sides of the line's ends, so that they keep clear of each other.
+            # Put the labels on the outer sides of the line's ends, so that they do not overlap.
             right = x[i] >= max(x[j] for j in ends)
             axes.annotate(
                 f"{of_level[i].triangles:,}", (x[i], y[i]), xytext=(7 if right else -7, 0), textcoords="offset points",
@@ -84,15 +79,7 @@ def draw_error_against_time(axes: Any, rows: Sequence[LensRow], pixel_mm: float)
 
 
 def draw_image_error(axes: Any, rows: Sequence[ImageRow], reference_error: float) -> None:
-    """Draw an image's relative error against processor time, one line for each way to estimate it.
-
-    Parameters
-    ----------
-    axes : matplotlib Axes
-    rows : sequence of ImageRow
-    reference_error : float
-        Relative error of the reference itself.
-    """
+    """Draw an image's relative error against CPU time, one line per estimator, and the reference's own error."""
     for name, of_way, colour, marker in _by_way(rows):
         x, y = [row.seconds for row in of_way], [row.mse**0.5 for row in of_way]
         bars = [0.5 * row.mse_error / row.mse**0.5 for row in of_way]
@@ -105,7 +92,7 @@ def draw_image_error(axes: Any, rows: Sequence[ImageRow], reference_error: float
 
 
 def draw_efficiency(axes: Any, rows: Sequence[ImageRow]) -> None:
-    """Draw every way's efficiency, from its largest run, as a bar with its standard error."""
+    """Draw each estimator's efficiency, from its largest run, as a bar with its standard error."""
     ways = list(_by_way(rows))
     values = [of_way[-1].efficiency for _, of_way, _, _ in ways]
     errors = [of_way[-1].efficiency_error for _, of_way, _, _ in ways]
@@ -123,41 +110,17 @@ def draw_efficiency(axes: Any, rows: Sequence[ImageRow]) -> None:
 
 
 def error_against_triangles(rows: Sequence[LensRow], title: str, pixel_mm: float) -> str:
-    """Return the figure of `draw_error_against_triangles` as SVG.
-
-    Parameters
-    ----------
-    rows : sequence of LensRow
-    title : str
-    pixel_mm : float, mm
-        Pitch of the sensor; a tenth of it is marked.
-    """
+    """Return the figure of `draw_error_against_triangles` as SVG."""
     return _svg(lambda axes: draw_error_against_triangles(axes, rows, pixel_mm), title)
 
 
 def error_against_time(rows: Sequence[LensRow], title: str, pixel_mm: float) -> str:
-    """Return the figure of `draw_error_against_time` as SVG.
-
-    Parameters
-    ----------
-    rows : sequence of LensRow
-    title : str
-    pixel_mm : float, mm
-        Pitch of the sensor; a tenth of it is marked.
-    """
+    """Return the figure of `draw_error_against_time` as SVG."""
     return _svg(lambda axes: draw_error_against_time(axes, rows, pixel_mm), title)
 
 
 def image_error_against_time(rows: Sequence[ImageRow], title: str, reference_error: float) -> str:
-    """Return the figure of `draw_image_error` as SVG.
-
-    Parameters
-    ----------
-    rows : sequence of ImageRow
-    title : str
-    reference_error : float
-        Relative error of the reference itself.
-    """
+    """Return the figure of `draw_image_error` as SVG."""
     return _svg(lambda axes: draw_image_error(axes, rows, reference_error), title)
 
 
@@ -167,7 +130,7 @@ def efficiency(rows: Sequence[ImageRow], title: str) -> str:
 
 
 def finish(axes: Any, title: str) -> None:
-    """Give axes their title and the looks that all figures share."""
+    """Apply the title and the style that all figures share."""
     axes.set_title(title, fontsize=10, loc="left")
     axes.grid(alpha=0.25, which="major")
     axes.set_axisbelow(True)
@@ -181,7 +144,7 @@ def _by_level(rows: Sequence[LensRow]) -> list[tuple[str, list[LensRow]]]:
 
 
 def _by_way(rows: Sequence[ImageRow]) -> list[tuple[str, list[ImageRow], str, str]]:
-    """Return the ways' names, rows with an error that is known, colours and markers."""
+    """Return the estimators' names, rows with a known error, colours and markers."""
     known = [row for row in rows if row.mse > 0.0]
     ways = [
         (way.name, [row for row in known if row.way == way.name], colour, marker)
@@ -195,7 +158,7 @@ def _tenth_of_a_pixel(axes: Any, pixel_mm: float) -> None:
 
 
 def _rule(axes: Any, value: float, words: str) -> None:
-    """Draw a named horizontal line; the name stands on its right end."""
+    """Draw a horizontal line with a label at its right end."""
     axes.axhline(value, color=GREY, lw=0.8, ls="--", zorder=0)
     axes.annotate(
         words, (0.995, value), xycoords=("axes fraction", "data"), xytext=(0, 2), textcoords="offset points",
@@ -204,7 +167,7 @@ def _rule(axes: Any, value: float, words: str) -> None:
 
 
 def _plain_counts(axis: Any) -> None:
-    """Name the ticks of a logarithmic axis as numbers are written: 1,000 and 0.1, at 1, 2 and 5 of every decade."""
+    """Label a logarithmic axis with plain numbers such as 1,000 and 0.1, at 1, 2 and 5 of every decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=(1.0,)))
@@ -221,7 +184,7 @@ def _svg(draw: Callable[[Any], None], title: str, size: tuple[float, float] = SI
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    # Text stays text, in the reader's font; a fixed salt makes the same figure from the same numbers.
+    # Text stays text, in the reader's font; a fixed salt makes the output reproducible.
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": title, "font.family": "sans-serif", "font.size": 9}):
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasSVG(figure)
@@ -234,7 +197,7 @@ def _svg(draw: Callable[[Any], None], title: str, size: tuple[float, float] = SI
 
 
 def inline_svg(svg: str) -> str:
-    """Return the <svg> element alone: inside HTML it needs no names of XML dialects, which look like addresses."""
+    """Return the <svg> element alone, without XML namespaces: HTML does not need them, and they look like addresses."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     return re.sub(r'\s+xmlns(:\w+)?="[^"]*"', "", svg).replace("xlink:href", "href")

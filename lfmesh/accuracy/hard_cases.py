@@ -1,6 +1,6 @@
-"""The hard cases: scenes made to break the tracer, each with a truth from outside and a verdict.
+"""The hard cases: scenes made to break the tracer, each with an independent truth and a verdict.
 
-A case passes when every ray has the right answer, or ends as LOST, which the ledger counts with its reason.
+A case passes if every ray has the right answer or ends as LOST, which the ledger counts with its reason.
 """
 
 from collections.abc import Callable, Iterable
@@ -143,7 +143,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
 )
 
 ALLOWED_LOSS = 1e-7
-"""Share of the emitted energy that may be lost over all cases."""
+"""Fraction of the emitted energy that may be lost over all cases."""
 
 
 def run_all() -> list[Outcome]:
@@ -152,20 +152,20 @@ def run_all() -> list[Outcome]:
 
 
 def judged(case: Callable[[], Outcome]) -> Outcome:
-    """Run one case without warnings: its outcome states what was lost."""
+    """Run one case without warnings: its outcome states the losses."""
     with collected():
         return case()
 
 
 def lost_share(outcomes: Iterable[Outcome]) -> float:
-    """Return the lost energy of all cases over what they emitted."""
+    """Return the lost energy of all cases over their emitted energy."""
     outcomes = list(outcomes)
     emitted = sum(o.emitted for o in outcomes)
     return sum(o.lost_energy for o in outcomes) / emitted if emitted else 0.0
 
 
 def line(outcome: Outcome) -> str:
-    """Return an outcome as one line: cause, verdict, what was expected and what came out."""
+    """Return an outcome as one line: cause, verdict, expected and actual result."""
     verdict = "passed" if outcome.passed else "FAILED"
     return (
         f"{verdict}  {outcome.cause} Expected: {outcome.expected}. Got: {outcome.got}; "

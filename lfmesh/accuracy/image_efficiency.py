@@ -1,13 +1,12 @@
-"""Cost of an image: error against time for the ways to estimate it, and their efficiency 1 / (MSE · t).
+"""Cost of an image: error against time of each estimator, and its efficiency 1 / (MSE · t).
 
-Every way that follows the same light estimates the same watts a pixel; those that leave reflections out have a
-reference of their own. The mean squared error is taken over all pixels against the converged reference of another seed,
-whose own variance is known from its replicates and is subtracted; both are relative to the image's mean square. Time is
-processor time, so that two cores and a busy machine do not enter. The efficiency of independent samples does not depend
-on how many are drawn; a better estimator has a higher one.
+All estimators of the same light converge to the same power per pixel; those without reflections have their own
+reference. The mean squared error over all pixels is taken against a converged reference with another seed, less the
+reference's own variance (from its replicates); both are relative to the image's mean square. Time is CPU time. The
+efficiency of independent samples does not depend on their number; a better estimator has a higher one.
 
-Paths that are heavy and rare, such as ghosts, hold much of a mean square in few pixels. Beside it stands what most
-pixels see: the median, over the lit ones, of the error's size.
+Rare, heavy paths such as ghosts concentrate a mean square in a few pixels. The typical error complements it: the median
+magnitude of the error over the lit pixels.
 """
 
 import math
@@ -33,13 +32,13 @@ class Way:
     ----------
     name : str
     means : str
-        What it does, in words.
+        Description.
     method, split : str
-        As in the scene's transport settings.
+        Transport settings of the scene.
     aimed, stratified : bool
-        As of `Renderer`.
+        See `Renderer`.
     engine : str
-        As in the scene's transport settings.
+        Transport setting of the scene.
     """
 
     name: str
@@ -52,7 +51,7 @@ class Way:
 
     @property
     def reference(self) -> "Way":
-        """The way that makes the reference of the light that this one follows."""
+        """The way that renders the reference for this one's light."""
         return IMAGE_PATH if self.split == "transmit" else SOBOL
 
 
@@ -101,18 +100,18 @@ WAYS = (ANALOG, SPLITTING, AIMING, RANDOM, SOBOL, PARTS)
 
 @dataclass(frozen=True)
 class Effort:
-    """Pixels, samples and repetitions that are spent on the images.
+    """Pixels, samples and repetitions spent on the images.
 
     Attributes
     ----------
     pixels : int
-        Of the sensor's shorter side, at most: larger sensors are binned to it.
+        Most pixels on the sensor's shorter side; larger sensors are binned.
     samples : dict
-        Samples a pixel by way: one point of the figure each.
+        Samples per pixel by way, one point in the figure each.
     repeats : int
-        Runs of each with another seed, two at least: their spread tells how well the error is known.
+        Runs with other seeds, two or more. Their spread gives the uncertainty of the error.
     reference : int
-        Samples a pixel of the reference.
+        Samples per pixel of the reference.
     """
 
     pixels: int
@@ -149,12 +148,12 @@ QUICK = Effort(
 )
 
 REPLICATES = 2
-"""Of each run: as many independent Sobol' sets a pixel share its samples."""
+"""Independent Sobol' sets per pixel that share the samples of a run."""
 
 REFERENCE_REPLICATES = 8
 
 LIT_SHARE = 0.05
-"""A pixel counts as lit above this share of the reference's mean."""
+"""Fraction of the reference's mean above which a pixel counts as lit."""
 
 
 @dataclass(frozen=True)
@@ -164,17 +163,17 @@ class ImageRow:
     Attributes
     ----------
     samples : int
-        A pixel; forward: packets over pixels.
+        Per pixel; forward: packets over pixels.
     seconds : float
-        Of processor time, mean of the repeats.
+        CPU time, mean of the repeats.
     mse, mse_error : float
-        Mean squared error over the image's mean square; its standard error over the repeats.
+        Mean squared error over the image's mean square, and its standard error over the repeats.
     typical : float
-        Median over the lit pixels of the error's size, over the image's root mean square.
+        Median magnitude of the error over the lit pixels, over the image's rms.
     efficiency, efficiency_error : float
-        1 / (mse · seconds), 1/s; NaN where the error cannot be told from the reference's.
+        1 / (mse · seconds), 1/s; NaN if the error is below the reference's.
     bias_z : float
-        Difference of the whole image's power from the reference's, in standard errors.
+        Difference of the image's total power from the reference's, in standard errors.
     """
 
     way: str
@@ -190,19 +189,19 @@ class ImageRow:
 
 @dataclass(frozen=True)
 class ImageStudy:
-    """All rows, and what they were measured on.
+    """All rows, and their scene and reference.
 
     Attributes
     ----------
     scene : str
     pixels : tuple of int
     binned : int
-        Pixels of the scene's own sensor along a side of one of these.
+        Sensor pixels per binned pixel along each side.
     reference_samples : int
     reference_error : float
-        Its rms standard error over the image's rms; of the reference with all reflections, where there are two.
+        Rms standard error of the reference over the image's rms; if there are two, of the one with all reflections.
     reference_typical : float
-        The median of its standard error over the lit pixels, over the image's rms.
+        Median standard error over the lit pixels, over the image's rms.
     """
 
     scene: str
@@ -218,20 +217,20 @@ class ImageStudy:
         return tuple(row for row in self.rows if row.way == way.name)
 
     def efficiency(self, way: Way) -> float:
-        """Return a way's efficiency, 1/s, from its largest run: where errors are known best."""
+        """Return a way's efficiency, 1/s, from its largest run."""
         return self.of(way)[-1].efficiency
 
     def reference_share(self) -> float:
-        """Return the reference's own variance over the smallest mean squared error that was measured against it."""
+        """Return the reference's own variance over the smallest mean squared error measured against it."""
         smallest = min(row.mse for row in self.rows)
         return self.reference_error**2 / smallest if smallest > 0.0 else math.inf
 
     def typical_gain(self, way: Way, over: Way) -> float:
-        """Return by what factor in samples one way's typical error is better than another's, at equal samples."""
+        """Return the gain in samples from one way's smaller typical error, at equal samples."""
         return (self.of(over)[-1].typical / self.of(way)[-1].typical) ** 2
 
     def gain(self, way: Way, over: Way) -> tuple[float, float]:
-        """Return how many times more efficient one way is than another, with its standard error."""
+        """Return the ratio of the efficiencies of two ways, with its standard error."""
         a, b = self.of(way)[-1], self.of(over)[-1]
         ratio = a.efficiency / b.efficiency
         return ratio, ratio * math.hypot(a.efficiency_error / a.efficiency, b.efficiency_error / b.efficiency)
@@ -244,14 +243,14 @@ def study_images(
     seed: int = 1,
     ways: Sequence[Way] = WAYS,
 ) -> ImageStudy:
-    """Measure error and time of ways to estimate a scene's image.
+    """Measure error and time of the ways to estimate a scene's image.
 
     Parameters
     ----------
     scene : Scene
     effort : Effort
     progress : callable of str, optional
-        Told what is being measured.
+        Called with the current step.
     seed : int
     ways : sequence of Way
 
@@ -275,7 +274,7 @@ def study_images(
         )
     rows = []
     for way in ways:
-        # Once for the compiler.
+        # Compile first.
         _run(_world(small, way, REPLICATES, REPLICATES), way, seed)
         for samples in effort.samples[way.name]:
             say(f"images: {way.name}, {samples} samples a pixel")
@@ -301,7 +300,7 @@ def _power(image: Image) -> float:
 def _binned(scene: Scene, pixels: int) -> tuple[Scene, int]:
     """Return the scene with its sensor binned to about `pixels` along the shorter side, and the binning factor.
 
-    What is left over at the border of the sensor is left out.
+    Surplus pixels at the border are dropped.
     """
     sensor = scene.camera.sensor
     factor = max(1, min(sensor.pixels) // pixels)
@@ -313,7 +312,7 @@ def _binned(scene: Scene, pixels: int) -> tuple[Scene, int]:
 
 
 def _world(scene: Scene, way: Way, samples: int, replicates: int) -> World:
-    """Build a scene as one way renders it."""
+    """Build a scene for one way."""
     transport = {
         "method": way.method, "split": way.split, "samples": samples, "replicates": replicates, "engine": way.engine,
     }  # fmt: skip
@@ -321,7 +320,7 @@ def _world(scene: Scene, way: Way, samples: int, replicates: int) -> World:
 
 
 def _run(world: World, way: Way, seed: int) -> tuple[Image, float]:
-    """Return an image and the processor seconds it took to trace."""
+    """Return an image and the CPU seconds for tracing it."""
     renderer = Renderer(world.reseeded(seed), aimed=way.aimed, stratified=way.stratified)
     began = time.process_time()
     image = renderer.image()

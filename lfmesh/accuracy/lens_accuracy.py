@@ -1,7 +1,7 @@
-"""Landing error of rays through a faceted lens: every level of `surface` on ever finer meshes, against the truth.
+"""Landing error of rays through a faceted lens: each level of `surface` on ever finer meshes, against the truth.
 
-The truth is `lfmesh.accuracy.analytic`. Two ways are measured: through the lens alone, to the plane of the microlenses
-(or of the sensor without them), and through the whole camera, lenslets included.
+The truth is `lfmesh.accuracy.analytic`. Two paths are measured: through the lens alone, to the plane of the microlenses
+(or of the sensor), and through the whole camera, including the lenslets.
 """
 
 import ctypes
@@ -28,28 +28,28 @@ from lfmesh.transport.world import World, build
 
 LEVELS = ("flat", "smooth", "patch", "exact")
 RINGS = (6, 12, 24, 48, 96)
-"""Rings of triangles a surface: each step has four times the triangles of the one before."""
+"""Rings of triangles per surface; each step has four times as many triangles as the one before."""
 
 QUICK_RINGS = (6, 12, 24)
 
 EXACT_MULTIPLES = (1, 2, 4)
-"""`exact` is measured on its default mesh and finer ones, to show that its error does not depend on them."""
+"""Multiples of the default mesh on which `exact` is measured, to show that its error does not depend on the mesh."""
 
 RAYS = 1 << 16
 QUICK_RAYS = 1 << 13
 
 TIMED_RUNS = 2
 TIMED_SECONDS = 0.2
-"""The fastest of at least so many runs counts: whatever else a machine does only ever adds to a run's time."""
+"""The fastest of at least so many runs counts: other load on the machine only ever adds to a run's time."""
 
 START_MM = 1.0
-"""Rays start this far before the first point of the lens."""
+"""Distance of the rays' starts in front of the first point of the lens."""
 
 LENS_ALONE, WHOLE_CAMERA = "lens", "camera"
 
 
 class Bundle(NamedTuple):
-    """Rays in the camera frame, (n, 3) each, with a unit direction."""
+    """Rays in the camera frame, (n, 3) each, with unit directions."""
 
     origins: NDArray[np.float64]
     directions: NDArray[np.float64]
@@ -66,30 +66,29 @@ class LensRow:
     way : str
         "lens": to the plane of its image; "camera": through the microlenses to the sensor.
     surface : str
-        What a facet stood for.
+        Level of `surface`.
     rings, triangles : int
-        Of one surface of the lens.
+        Per lens surface.
     rms_mm, max_mm, rms_px, max_px : float
-        Distance between where a ray lands and where it should.
+        Distance between a ray's actual and true landing points.
     elsewhere : float
-        Share of rays that land half a lenslet or more from where they should: through another lenslet. They are in
-        `max_mm`, not in `rms_mm`, which would measure nothing else. 0 for the lens alone.
+        Fraction of rays that land half a lenslet or more from the truth, through another lenslet. They count in
+        `max_mm`, but not in `rms_mm`, which they would dominate.
     expected_mm : float
-        What the estimate of `lfmesh check` says that `rms_mm` is.
+        Estimate of `rms_mm` by `lfmesh check`.
     rms_weight, max_weight : float
-        Relative error of the power a ray brings.
+        Relative error of a ray's power.
     astray : float
-        Share of rays that end elsewhere than in the truth: an aperture's edge, or nowhere.
+        Fraction of rays that arrive but should not, or the reverse.
     lost, requeried : float
-        Share of the power lost, and of events asked again.
+        Fraction of the power lost, and of events queried again.
     build_seconds : float
     table_bytes, process_bytes : int
-        What the kernels' tables take; by how much the process grew, Embree's trees included (0 where the system does
-        not say, and where the growth is too small to be told).
+        Size of the kernels' tables, and growth of the process including Embree's trees (0 if unknown or too small).
     events_per_second : float
-        Ray-surface events a second of processor time: of one core.
+        Ray-surface events per second of CPU time.
     rays : int
-        Compared.
+        Number of rays compared.
     """
 
     lens: str
@@ -117,16 +116,16 @@ class LensRow:
 
 @dataclass(frozen=True)
 class LensStudy:
-    """All rows of one lens, and how far the truth itself can be trusted.
+    """All rows of one lens, and the uncertainty of the truth.
 
     Attributes
     ----------
     default_rings : dict
-        By level: the rings that a scene gets by itself.
+        Default rings of a scene, by level.
     truth_error_mm : float or None
-        Largest difference between the truth in float64 and in extended precision, over both ways.
+        Largest difference between the truth in float64 and in extended precision.
     lenslet_triangles : int
-        Of the curved face of one lenslet, on every mesh of the lens; 0 without microlenses.
+        Triangles of one lenslet's curved face, for any mesh of the lens; 0 without microlenses.
     """
 
     name: str
@@ -142,18 +141,18 @@ class LensStudy:
         return tuple(dict.fromkeys(row.way for row in self.rows))
 
     def of(self, way: str, level: str | None = None) -> tuple[LensRow, ...]:
-        """Return the rows of a way, of one level if asked."""
+        """Return the rows of a way, optionally of one level only."""
         return tuple(row for row in self.rows if row.way == way and level in (None, row.surface))
 
 
 def bare(scene: Scene) -> Scene:
-    """Return a solved scene with nothing but its camera, which stands in the world frame."""
+    """Return a solved scene with only its camera, in the world frame."""
     scene = solved_camera(scene).scene
     return scene.camera_alone({"camera.pose": {}, "transport.engine": "auto"})
 
 
 def lens_alone(scene: Scene) -> Scene:
-    """Return a solved scene without its microlenses, the sensor in the plane where they stood."""
+    """Return a solved scene without its microlenses, with the sensor in their plane."""
     camera = scene.camera
     if camera.mla is None:
         return scene
@@ -168,7 +167,7 @@ def lens_alone(scene: Scene) -> Scene:
 
 
 def lens_scene(file: Path) -> Scene:
-    """Return a scene that tests a lens file: an object twenty focal lengths away, a sensor for 25° of half field."""
+    """Return a test scene for a lens file: object twenty focal lengths away, 25° of half field."""
     draft = {
         "camera": {
             "focus_mm": 1e3,
@@ -185,10 +184,10 @@ def lens_scene(file: Path) -> Scene:
 
 
 def bundle(scene: Scene, rays: int, seed: int = 0) -> Bundle:
-    """Return rays from all over the field through all of the entrance pupil of a solved scene's camera.
+    """Return rays from the whole field through the whole entrance pupil of a solved scene's camera.
 
-    Object points lie in the plane that the lens focuses on and cover what the sensor sees of it; a tenth more than the
-    paraxial pupil is filled, and the truth tells which rays get through.
+    Object points lie in the plane of focus and cover the sensor's view. The pupil is overfilled by a tenth; the truth
+    decides which rays pass.
 
     Parameters
     ----------
@@ -228,21 +227,21 @@ def study_lens(
     rays: int = RAYS,
     progress: Callable[[str], None] | None = None,
 ) -> LensStudy:
-    """Measure a scene's lens, and with microlenses the whole camera, at every level and mesh.
+    """Measure a scene's lens, and the whole camera if it has microlenses, at every level and mesh.
 
     Parameters
     ----------
     scene : Scene
     rings : tuple of int
-        Rings of facets a surface, one mesh each.
+        Rings of facets per surface, one mesh each.
     rays : int
     progress : callable of str, optional
-        Told what is being measured.
+        Called with the current step.
 
     Raises
     ------
     LfmeshError
-        The lens holds a mesh from a file, or the scene cannot be built.
+        The lens has a mesh from a file, or the scene cannot be built.
     """
     scene = bare(scene)
     name = scene.camera.lens.name or scene.name or "lens"
@@ -258,7 +257,7 @@ def study_lens(
         sent = bundle(camera, rays)
         truth = analytic.Camera.of(camera, wavelength).land(*sent)
         errors.append(analytic.own_error(camera, wavelength, *(a[:2000] for a in sent)))
-        # The compiler and the libraries take their memory before any is counted.
+        # Let the compiler and the libraries allocate their memory before any is measured.
         trace(build(camera), *sent, wavelength, "transmit")
         for level in LEVELS:
             for number in rings if level != "exact" else tuple(m * default["exact"] for m in EXACT_MULTIPLES):
@@ -278,7 +277,7 @@ def _lenslet_triangles(scene: Scene) -> int:
 
 
 def order_of(rows: Sequence[LensRow]) -> float:
-    """Return the fitted order of the error in the facets' size: rms ∝ rings^−order."""
+    """Return the fitted order of the error in the facet size: rms ∝ rings^−order."""
     rings, errors = np.array([r.rings for r in rows]), np.array([r.rms_mm for r in rows])
     usable = errors > 0
     if usable.sum() < 2:
@@ -295,7 +294,7 @@ def _measured(
     began = time.perf_counter()
     world = build(scene, rings=rings)
     build_seconds = time.perf_counter() - began
-    # Embree makes its trees at the first query.
+    # Embree builds its trees at the first query.
     wavelength = scene.primary_nm
     trace(world, sent.origins[:256], sent.directions[:256], wavelength, "transmit")
     release_freed_memory()
@@ -342,13 +341,13 @@ def _measured(
 
 
 def table_bytes(world: World) -> int:
-    """Return the bytes of the tables that the kernels read: lens, array, objects."""
+    """Return the size of the kernels' tables, bytes: lens, array, objects."""
     parts = (*world.tables.lens, *world.tables.mla, *world.tables.objects)
     return sum(part.nbytes for part in parts if isinstance(part, np.ndarray))
 
 
 def resident_bytes() -> int:
-    """Return the memory that this process holds; 0 where the system does not say."""
+    """Return the memory of this process, bytes; 0 if the system does not report it."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except (OSError, ValueError, IndexError):
@@ -357,24 +356,24 @@ def resident_bytes() -> int:
 
 
 def release_freed_memory() -> None:
-    """Return the freed memory of earlier worlds to the system, so that it does not hide the growth of the next."""
+    """Return freed memory to the system, so that it does not hide the next world's growth."""
     gc.collect()
     try:
         ctypes.CDLL(None).malloc_trim(0)
     except (AttributeError, OSError, TypeError):
-        # Only GNU's C library has it.
+        # Only the GNU C library has it.
         return
 
 
 def lens_files() -> list[Path]:
-    """Return the lenses that come with lfmesh."""
+    """Return the lens files that come with lfmesh."""
     from lfmesh.assets import asset_path
 
     return sorted(asset_path("lenses").glob("*.toml"))
 
 
 def lens_scenes() -> list[Scene]:
-    """Return one scene for each lens that comes with lfmesh."""
+    """Return a scene for each lens that comes with lfmesh."""
     return [lens_scene(file) for file in lens_files()]
 
 

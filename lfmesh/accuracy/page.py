@@ -22,10 +22,10 @@ def page(lenses: Sequence[LensStudy], images: ImageStudy | None, title: str, mad
     ----------
     lenses : sequence of LensStudy
     images : ImageStudy or None
-        None where the scene has no light.
+        None if the scene has no light.
     title : str
     made_on : str
-        Versions and machine, in a line.
+        Versions and machine.
     """
     return filled(
         TEMPLATE,
@@ -40,7 +40,7 @@ def page(lenses: Sequence[LensStudy], images: ImageStudy | None, title: str, mad
 
 
 def _in_short(lenses: Sequence[LensStudy], images: ImageStudy | None) -> list[str]:
-    """Return what to choose, before all figures."""
+    """Return the recommendations at the top of the page."""
     lines = verdict.three_numbers(lenses[0]) if len(lenses) == 1 else []
     if images is not None:
         lines.append(verdict.most_efficient(images))

@@ -1,8 +1,8 @@
-"""The report of speed against error: what every level of `surface` costs and how wrong it is, and what an image costs.
+"""The report of speed against error, for every level of `surface` and for images.
 
     lfmesh accuracy scene.toml -o report/
 
-measures the scene's own lens and array, and its images; without a scene, the lenses that come with lfmesh and the
+measures the scene's lens, array and images. Without a scene, it measures the lenses that come with lfmesh and the
 images of its first scene.
 """
 
@@ -29,14 +29,14 @@ LENS_CSV, IMAGE_CSV, PAGE = "lenses.csv", "images.csv", "accuracy.html"
 
 @dataclass(frozen=True)
 class AccuracyReport:
-    """Everything that was measured."""
+    """All results of the measurement."""
 
     title: str
     lenses: tuple[LensStudy, ...]
     images: ImageStudy | None
 
     def write(self, folder: str | Path) -> list[Path]:
-        """Write the tables and the page into a folder, made if need be; return what was written.
+        """Write the tables and the page into a folder, created if needed; return their paths.
 
         Raises
         ------
@@ -60,7 +60,7 @@ class AccuracyReport:
         return [folder / name for name in contents]
 
     def print(self, console: Console) -> None:
-        """Print the tables, and under each what it says."""
+        """Print the tables, each with its conclusions."""
         for study in self.lenses:
             for way in study.ways:
                 rows = [tables.short_lens_columns(row) for row in study.of(way)]
@@ -80,12 +80,12 @@ class AccuracyReport:
 
 
 def prepare(folder: str | Path) -> None:
-    """Check that a report can be written, before the minutes that it takes to measure; leave nothing behind.
+    """Check before the long measurement that a report can be written; leave nothing behind.
 
     Raises
     ------
     FileError
-        The folder is a file, or cannot be made or written.
+        The folder is a file, or cannot be created or written.
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
@@ -96,20 +96,20 @@ def prepare(folder: str | Path) -> None:
 def measure(
     scene: Scene | None = None, *, quick: bool = False, progress: Callable[[str], None] | None = None
 ) -> AccuracyReport:
-    """Measure a scene's lens, array and images, or without one the lenses that come with lfmesh.
+    """Measure a scene's lens, array and images, or without a scene the lenses that come with lfmesh.
 
     Parameters
     ----------
     scene : Scene, optional
     quick : bool
-        Fewer meshes, rays and samples: half a minute in place of a few.
+        Use fewer meshes, rays and samples: half a minute in place of a few.
     progress : callable, optional
-        Told in words what is being measured.
+        Called with a description of the current step.
 
     Raises
     ------
     LfmeshError
-        The scene cannot be built, or its lens is a mesh without an analytic parent.
+        The scene cannot be built, or its lens is a mesh without an analytic surface.
     """
     rings, rays, effort = (QUICK_RINGS, QUICK_RAYS, QUICK) if quick else (RINGS, RAYS, USUAL)
     scenes = [scene] if scene is not None else lens_scenes()
@@ -121,7 +121,7 @@ def measure(
 
 
 def made_on() -> str:
-    """Return versions and machine in a line."""
+    """Return versions and machine in one line."""
     return (
         f"lfmesh {lfmesh.__version__}, Python {platform.python_version()}, {platform.machine()}, "
         f"{os.cpu_count()} cores; times are of one core"

@@ -1,8 +1,8 @@
-"""Reported against true error of an image: crops of a scene against a long render of the same.
+"""Reported against true error of an image, from crops of a scene and a long render of the same crop.
 
-Pixels are grouped in two ways: by what the reference shows, brightness and local contrast, which no noise of the image
-decides; and by quarters of the error that the image reports for them, among those that found light. What is compared
-is the root mean square of the reported error with that of the true one, less the reference's own variance.
+Pixels are grouped in two ways: by brightness and local contrast in the reference, independently of the image's noise;
+and by quarters of the reported error, among pixels that found light. Each group compares the rms of the reported error
+with that of the true error, less the reference's own variance.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -46,19 +46,19 @@ CROPS = {
     "tank": (-1.0, 0.5),
     "underwater": (-1.0, 0.5),
 }
-"""The middle of a crop of each scene in assets, mm on the sensor: edges, smooth parts and shadows are in it."""
+"""Centre of a crop of each scene in assets, mm on the sensor; the crops contain edges, smooth parts and shadows."""
 
 DIM_SHARE = 0.05
-"""Of the reference's bright pixels (99th percentile): dimmer ones are a group of their own."""
+"""Fraction of the reference's bright pixels (99th percentile) below which pixels form a separate group."""
 
 LEVELS = 2
 """Classes of brightness, and of contrast in each."""
 
 BLOCK_PX = 8
-"""Side of the blocks of pixels that are left out in turn to tell how well a ratio is known."""
+"""Side of the blocks of pixels for the jackknife error of a ratio."""
 
 ENOUGH_HITS = 100
-"""For the coverage of single pixels."""
+"""Least number of hits for the coverage of single pixels."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class ErrorRatio:
     ratio : float
         Root mean square over root mean square.
     stderr : float
-        Of the ratio: jackknife over blocks of pixels, or over images.
+        Standard error of the ratio: jackknife over blocks of pixels, or over images.
     """
 
     group: str
@@ -84,13 +84,13 @@ class ErrorRatio:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Share of some pixels whose truth lies within so many of their standard errors; see `coverage`.
+    """Fraction of pixels with the truth within a number of their standard errors; see `coverage`.
 
     Attributes
     ----------
     sigmas : float
     found, expected : float
-        Share of the pixels, NaN of none; what Student's t says for the image's groups of replicates.
+        Fraction of the pixels (NaN if there are none), and that from Student's t for the image's groups of replicates.
     pixels : int
     """
 
@@ -108,26 +108,17 @@ def crop(scene: Scene, side: int, at_mm: tuple[float, float]) -> Scene:
     scene : Scene
     side : int, pixels
     at_mm : (x, y), mm
-        On the sensor, from its middle.
+        On the sensor, from its centre.
     """
     pitch = scene.camera.sensor.pixel_mm
     shift = scene.camera.sensor.pose.shift_mm
-    # A sensor of an even number of pixels has its middle between two.
+    # The centre of a sensor with an even number of pixels is between two of them.
     x, y = (round(at / pitch) * pitch + moved for at, moved in zip(at_mm, shift[:2], strict=True))
     return scene.changed({"camera.sensor.pixels": (side, side), "camera.sensor.pose.shift_mm": (x, y, shift[2])})
 
 
 def sampled(scene: Scene, samples: int, replicates: int, seed: int) -> Image:
-    """Render with other samples, replicates and seed; images of different seeds share no random number.
-
-    Parameters
-    ----------
-    scene : Scene
-    samples : int
-        A pixel, in all.
-    replicates : int
-    seed : int
-    """
+    """Render with other samples (per pixel, in all), replicates and seed; different seeds share no random number."""
     changes = {"samples": samples, "replicates": replicates, "seed": seed}
     return render(scene.changed({f"transport.{name}": value for name, value in changes.items()}))
 
@@ -138,9 +129,9 @@ def error_ratios(image: Image, reference: Image, error: Array | None = None) -> 
     Parameters
     ----------
     image, reference : Image
-        Of one scene and different seeds, of one wavelength; the reference has many more samples.
+        From one scene with different seeds, at one wavelength; the reference has many more samples.
     error : (H, W, 1) float64, optional
-        In place of the image's.
+        Replaces the image's error.
     """
     return [
         _ratio(name, int(here.sum()), *_by_blocks(here, reported, true))
@@ -151,14 +142,8 @@ def error_ratios(image: Image, reference: Image, error: Array | None = None) -> 
 def mean_error_ratios(images: Iterable[Image], reference: Image) -> list[ErrorRatio]:
     """Compare the reported with the true error over several images of one scene, in every group of pixels.
 
-    A heavy path that few images have met raises the errors that they report for all pixels. How far that is by chance
-    only other images tell: the standard error of a ratio is the jackknife's over images.
-
-    Parameters
-    ----------
-    images : iterable of Image
-        Of different seeds.
-    reference : Image
+    A heavy path met by few images raises their reported errors in all pixels. Only other images show how much of this
+    is chance, so the standard error of a ratio is a jackknife over images.
     """
     sums: dict[str, list[tuple[int, float, float]]] = {}
     for image in images:
@@ -172,7 +157,7 @@ def mean_error_ratios(images: Iterable[Image], reference: Image) -> list[ErrorRa
 
 
 def _groups(image: Image, reference: Image, error: Array) -> Iterator[tuple[str, Mask, Array, Array]]:
-    """Yield the groups of pixels that are not empty, with the squares of reported and true error, (H, W)."""
+    """Yield the non-empty groups of pixels, with the squares of reported and true error, (H, W)."""
     reported = error[:, :, 0] ** 2
     noise = reference.stderr[:, :, 0] ** 2
     true = (image.mean - reference.mean)[:, :, 0] ** 2 - noise
@@ -182,7 +167,7 @@ def _groups(image: Image, reference: Image, error: Array) -> Iterator[tuple[str,
 
 
 def by_reference(mean: Array) -> Iterator[tuple[str, Mask]]:
-    """Yield the groups that a reference (H, W) makes: dim pixels, and the others by brightness and contrast in it."""
+    """Yield groups by a reference (H, W): dim pixels, and the others by brightness and contrast."""
     lit = mean > DIM_SHARE * np.percentile(mean, 99.0)
     yield "dim", ~lit & (mean > 0.0)
     contrast = local_contrast(mean)
@@ -214,10 +199,9 @@ def local_contrast(mean: Array) -> Array:
 def coverage(image: Image, reference: Image) -> list[Coverage]:
     """Count how often the truth lies within 1, 2 and 3 standard errors of a pixel.
 
-    Of pixels with 100 hits or more and noise larger than one hit: where replicates find the same number of equal hits,
-    as in an evenly lit pixel, they have no spread, whatever fraction of a hit the truth is off. The noise is that of
-    the reference, for as many samples as the image has. The reference's own error widens the difference; it is taken
-    as a part of the pooled one.
+    Only pixels with 100 hits or more and with noise larger than one hit count: in an evenly lit pixel, replicates may
+    find equal numbers of hits and have no spread, although the truth is off by a fraction of a hit. The noise is the
+    reference's, scaled to the image's samples. The reference's error widens the difference, as part of a pooled error.
     """
     from scipy import stats
 
@@ -244,7 +228,7 @@ def _by_blocks(here: Mask, reported: Array, true: Array) -> tuple[Array, Array]:
 
 
 def _ratio(name: str, pixels: int, above: Array, below: Array) -> ErrorRatio:
-    """Return the ratio of a group, of sums over blocks or images, with the jackknife's standard error over these."""
+    """Return the ratio of a group from sums over blocks or images, with the jackknife's standard error."""
     ratio = _root(above.sum(), below.sum())
     count = len(above)
     without = np.array([_root(above.sum() - a, below.sum() - b) for a, b in zip(above, below, strict=True)])
@@ -273,11 +257,11 @@ def study_errors(
     ----------
     scene : Scene
     samples : sequence of int
-        A pixel, in all.
+        Per pixel, in all.
     replicates : sequence of int
     reference_samples : int
     step : callable of str
-        Told what is rendered next.
+        Called with the next render.
     """
     step(f"{scene.name}: reference of {reference_samples} samples")
     reference = sampled(scene, reference_samples, 8, 0)

@@ -1,4 +1,4 @@
-"""The rows of an accuracy report as tables: CSV with every digit, and the columns that people read."""
+"""The rows of an accuracy report as tables: CSV with every digit, and rounded columns."""
 
 import csv
 import io
@@ -17,7 +17,7 @@ PARSERS = {str: str, int: int, float: float}
 
 
 def csv_table(rows: Sequence[LensRow] | Sequence[ImageRow]) -> str:
-    """Return rows as CSV, all fields, every digit."""
+    """Return rows as CSV, with all fields and digits."""
     text = io.StringIO()
     if rows:
         writer = csv.DictWriter(text, [field.name for field in fields(rows[0])], lineterminator="\n")
@@ -27,7 +27,7 @@ def csv_table(rows: Sequence[LensRow] | Sequence[ImageRow]) -> str:
 
 
 def read_csv(text: str, kind: type[Row]) -> list[Row]:
-    """Return the rows that `csv_table` wrote."""
+    """Return the rows from the text of `csv_table`."""
     types = {field.name: field.type for field in fields(kind)}
     return [
         kind(**{name: PARSERS[types[name]](value) for name, value in line.items()})  # type: ignore[index]
@@ -36,7 +36,7 @@ def read_csv(text: str, kind: type[Row]) -> list[Row]:
 
 
 def lens_columns(row: LensRow) -> dict[str, str]:
-    """Return what the page shows of a row, by heading."""
+    """Return the page's columns of a row, by heading."""
     return {
         "surface": row.surface,
         "triangles": f"{row.triangles:,}",
@@ -58,7 +58,7 @@ def lens_columns(row: LensRow) -> dict[str, str]:
 
 
 def short_lens_columns(row: LensRow) -> dict[str, str]:
-    """Return what fits a terminal of 80 columns."""
+    """Return the columns that fit a terminal of 80 characters."""
     return {
         "surface": row.surface,
         "trian-\ngles": f"{row.triangles:,}",
@@ -77,13 +77,13 @@ def short_lens_columns(row: LensRow) -> dict[str, str]:
 
 
 def short_image_columns(row: ImageRow) -> dict[str, str]:
-    """Return what fits a terminal of 80 columns."""
+    """Return the columns that fit a terminal of 80 characters."""
     headings = ("estimate", "sam-\nples", "time\ns", "rms\nerror", "typical\nerror", "effi-\nciency", "\n±", "\nz")
     return dict(zip(headings, image_columns(row).values(), strict=True))
 
 
 def image_columns(row: ImageRow) -> dict[str, str]:
-    """Return what the page shows of a row, by heading."""
+    """Return the page's columns of a row, by heading."""
     known = row.mse > 0.0
     return {
         "estimate": row.way,

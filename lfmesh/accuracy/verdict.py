@@ -1,4 +1,4 @@
-"""Conclusions from the numbers of an accuracy report, in plain words: what to choose, and what that costs."""
+"""Conclusions from an accuracy report in plain words: recommendations and their cost."""
 
 import math
 from collections.abc import Sequence
@@ -7,13 +7,13 @@ from lfmesh.accuracy.image_efficiency import ANALOG, RANDOM, SOBOL, WAYS, ImageS
 from lfmesh.accuracy.lens_accuracy import LENS_ALONE, LEVELS, LensRow, LensStudy, order_of
 
 GOOD_PIXELS = 0.1
-"""An rms error below this share of a pixel does not show in an image."""
+"""Rms error, in pixels, below which it does not show in an image."""
 
 TIE = 1.25
-"""Speeds closer than this factor count as equal: so much they differ from run to run on a busy machine."""
+"""Factor within which speeds count as equal: they vary that much between runs on a busy machine."""
 
 SURE = 2.0
-"""Efficiencies that differ by less than so many standard errors are not told apart."""
+"""Standard errors by which efficiencies must differ to be distinguished."""
 
 MESH_LEVELS = ("patch", "smooth", "flat")
 """The levels that need no formula of the surface, best first."""
@@ -24,7 +24,7 @@ UNITS = ((0.1, 1.0, "mm"), (1e-4, 1e3, "µm"), (1e-7, 1e6, "nm"))
 
 
 def length(mm: float) -> str:
-    """Return a length with two digits, in the unit that reads best."""
+    """Return a length with two digits, in the most readable unit."""
     if mm == 0.0:
         return "0 mm"
     for least, scale, unit in UNITS:
@@ -34,16 +34,16 @@ def length(mm: float) -> str:
 
 
 def two_digits(value: float) -> str:
-    """Return a number with two digits that count, without an exponent."""
+    """Return a number with two significant digits, without an exponent."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
-    # Of the rounded number: 9.96 has two digits as 10.
+    # Use the exponent of the rounded number: 9.96 becomes 10.
     decimals = 1 - int(f"{value:.1e}".split("e")[1])
     return f"{round(value, decimals):,.{max(0, decimals)}f}"
 
 
 def power_of_ten(value: float) -> str:
-    """Return a number as 1.5e-14 would be written by hand."""
+    """Return a number such as 1.5e-14 in typeset notation."""
     digits, exponent = f"{value:.1e}".split("e")
     signs = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
     return f"{digits}\N{NO-BREAK SPACE}×\N{NO-BREAK SPACE}10{str(int(exponent)).translate(signs)}"
@@ -55,25 +55,25 @@ def pixels(value: float) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share as a percentage of two digits."""
+    """Return a fraction as a percentage with two digits."""
     number = two_digits(100.0 * share) if share >= 1e-6 else power_of_ten(100.0 * share)
     return f"{number}\N{NO-BREAK SPACE}%"
 
 
 def cheapest_good(rows: Sequence[LensRow]) -> LensRow | None:
-    """Return the row with the fewest triangles whose error stays below a tenth of a pixel."""
+    """Return the row with the fewest triangles and at most a tenth of a pixel of error."""
     good = [row for row in rows if row.rms_px <= GOOD_PIXELS]
     return min(good, key=lambda row: row.triangles, default=None)
 
 
 def cheapest_mesh(study: LensStudy, way: str = LENS_ALONE) -> LensRow | None:
-    """Return the coarsest row below a tenth of a pixel that needs no formula of the surface; the best in a tie."""
+    """Return the coarsest row within a tenth of a pixel that needs no formula of the surface; in a tie, the best."""
     good = [row for level in MESH_LEVELS if (row := cheapest_good(study.of(way, level)))]
     return min(good, key=lambda row: row.triangles, default=None)
 
 
 def about_the_truth(study: LensStudy) -> str:
-    """Say how far the truth can be trusted."""
+    """Describe the uncertainty of the truth."""
     if study.truth_error_mm is None:
         return (
             "The truth is a trace through the analytic surfaces in float64; its own rounding error could not be "
@@ -86,7 +86,7 @@ def about_the_truth(study: LensStudy) -> str:
 
 
 def about_triangles(study: LensStudy, way: str) -> str:
-    """Say how each level's error falls with the mesh, and which to choose for accuracy."""
+    """Describe how each level's error falls with the mesh, and recommend one."""
     exact = study.of(way, "exact")
     sentences = [_choice(study, way, exact[0])]
     describe = _level_words if way == LENS_ALONE else _level_words_through_lenslets
@@ -100,7 +100,7 @@ def about_triangles(study: LensStudy, way: str) -> str:
 
 
 def about_time(study: LensStudy, way: str) -> str:
-    """Say what the levels cost in time, memory and building, and what did not end as it should."""
+    """Describe the levels' cost in time, memory and building, and any losses."""
     rows = study.of(way)
     exact = study.of(way, "exact")[0]
     words = [f"On its default mesh exact takes {_nanoseconds(exact)} an event."]
@@ -128,7 +128,7 @@ def about_time(study: LensStudy, way: str) -> str:
 
 
 def about_images(study: ImageStudy) -> str:
-    """Say which way to estimate an image is the most efficient, and by how much."""
+    """Describe the most efficient way to estimate an image, and its lead."""
     ranked = _ranked(study)
     words = [most_efficient(study)]
     if SOBOL in ranked and RANDOM in ranked:
@@ -147,7 +147,7 @@ def about_images(study: ImageStudy) -> str:
 
 
 def about_image_time(study: ImageStudy) -> str:
-    """Say what an error costs in time, and how well the reference is known."""
+    """Describe the time cost of an error, and the reference's uncertainty."""
     best = _ranked(study)[0]
     tenth = 1.0 / (study.efficiency(best) * 0.1**2)
     return (
@@ -157,7 +157,7 @@ def about_image_time(study: ImageStudy) -> str:
 
 
 def most_efficient(study: ImageStudy) -> str:
-    """Say which way is the most efficient, and by how much; a tie is called one, and broken by the typical error."""
+    """Describe the most efficient way and its lead; ties are stated, and broken by the typical error."""
     ranked = _ranked(study)
     best = ranked[0]
     words = f"the most efficient way is {best.name}, at {two_digits(study.efficiency(best))} / s"
@@ -172,7 +172,7 @@ def most_efficient(study: ImageStudy) -> str:
 
 
 def about_the_reference(study: ImageStudy) -> str:
-    """Say how well the reference is known, and how far that matters."""
+    """Describe the reference's uncertainty and its influence."""
     words = (
         f"The reference, adjoint with {study.reference_samples} samples a pixel of another seed, has an rms error of "
         f"{percent(study.reference_error)} itself ({percent(study.reference_typical)} in a typical pixel); its "
@@ -187,7 +187,7 @@ def about_the_reference(study: ImageStudy) -> str:
 
 
 def lens_summary(study: LensStudy) -> dict[str, str]:
-    """Return a lens in one line of a table."""
+    """Return a lens as one row of a table."""
     exact = study.of(LENS_ALONE, "exact")[0]
     needed = {
         level: f"{row.triangles:,}" if (row := cheapest_good(study.of(LENS_ALONE, level))) else "none measured"
@@ -202,7 +202,7 @@ def lens_summary(study: LensStudy) -> dict[str, str]:
 
 
 def three_numbers(study: LensStudy) -> list[str]:
-    """Return the three numbers of a lens that a user needs first, one line each."""
+    """Return the three most important numbers of a lens, one line each."""
     exact = study.of(LENS_ALONE, "exact")[0]
     lines = [
         f"exact, {exact.triangles:,} triangles a surface (its default): rays land within {length(exact.max_mm)} of the "
@@ -256,7 +256,7 @@ def _level_words_through_lenslets(study: LensStudy, way: str, level: str) -> str
 
 
 def _what_went_wrong(rows: Sequence[LensRow]) -> list[str]:
-    """Say what was lost and what went astray, if anything, and why."""
+    """Describe losses and stray rays, if any, and their cause."""
     words = []
     lost = max(rows, key=lambda row: row.lost)
     if lost.lost > 0.0:
@@ -278,8 +278,8 @@ def _what_went_wrong(rows: Sequence[LensRow]) -> list[str]:
 def _ranked(study: ImageStudy) -> list[Way]:
     """Return the ways, the most efficient first.
 
-    Ways whose error is below the reference's stand first of all. Of those not told apart from the first by their mean
-    square, the one with the least typical error for its time goes before it.
+    Errors below the reference's come first. Among ways not distinguished from the first by their mean square, the one
+    with the least typical error for its time takes the first place.
     """
     ways = [way for way in WAYS if study.of(way)]
     ranked = sorted(ways, key=lambda way: -study.efficiency(way) if study.efficiency(way) > 0.0 else -math.inf)
@@ -302,7 +302,7 @@ def _nanoseconds(row: LensRow) -> str:
 
 
 def _factor(ratio: float, error: float) -> str:
-    """Return a ratio with as many digits as its error leaves it."""
+    """Return a ratio with as many digits as its error allows."""
     if not math.isfinite(error) or error <= 0.0:
         return two_digits(ratio)
     digits = -math.floor(math.log10(error))

@@ -1,1 +1,1 @@
-"""Cases made to break a ray tracer, by subject; `lfmesh.accuracy.hard_cases` lists and runs them."""
+"""Cases made to break a ray tracer, by subject; see `lfmesh.accuracy.hard_cases`."""

@@ -1,4 +1,4 @@
-"""Rays aimed at the places of a mesh where facets meet."""
+"""Rays aimed at vertices and edges of a mesh."""
 
 import numpy as np
 import trimesh
@@ -21,14 +21,14 @@ from lfmesh.transport.world import build
 
 
 def _aimed(points: Array, seed: int = 3) -> tuple[Array, Array]:
-    """Return rays that pass exactly through points, to rounding: a pencil of them, from 50 mm before."""
+    """Return rays from 50 mm in front that pass exactly through points, to rounding."""
     d = tilted(len(points), 0.1, seed)
     return points - 50.0 * d, d
 
 
 @case
 def vertices_and_edges() -> Outcome:
-    """Aim rays exactly at every vertex, and at points of every edge, of a lens surface's mesh."""
+    """Aim rays exactly at every vertex, and at points on every edge, of a lens mesh."""
     scene = lens_scene(SINGLET)
     world = build(scene, rings=24)
     cap = world.lens_shape.caps[0]
@@ -55,12 +55,12 @@ def pole_and_rim() -> Outcome:
 
 @case
 def skinny_fan() -> Outcome:
-    """Aim rays at the centre of a fan of 7,200 skinny triangles, on a glass plate."""
+    """Aim rays at the centre of a fan of 7,200 thin triangles on a glass plate."""
     disk = trimesh.creation.cylinder(radius=20.0, height=4.0, sections=7200)
     world = world_with(disk, index=1.5, position_mm=(0.0, 0.0, -30.0))
     draw = np.random.default_rng(0)
     n = 4000
-    # Half of them through the very centre, the rest as near as 1e-7 mm.
+    # Half of them pass exactly through the centre, the others as near as 1e-7 mm.
     aside = draw.normal(size=(n, 2)) * 10.0 ** draw.uniform(-7.0, -2.0, (n, 1))
     aside[: n // 2] = 0.0
     d = tilted(n, 0.15)

@@ -10,14 +10,14 @@ from lfmesh.transport.trace import trace
 from lfmesh.transport.world import build
 
 BEHIND_LENS = 10.0
-"""mm from the lens to the array."""
+"""Distance from the lens to the array, mm."""
 
 
 def _array(
     plate: Plate, start: Array, towards: Array, *, pose: Pose | None = None, around: int = 3,
     tolerance: float = 1e-12, relative: float = 1e-12,
 ) -> Outcome:  # fmt: skip
-    """Trace rays, given in the array's frame, onto the sensor behind it; the sensor is moved with the array."""
+    """Trace rays, given in the array's frame, to the sensor behind it, which moves with the array."""
     pose = pose or Pose()
     mla = MicrolensArray(
         layout="hexagonal" if plate.hexagonal else "square", count=(plate.columns, plate.rows), pitch_mm=plate.pitch,
@@ -37,7 +37,7 @@ def _array(
     # From the array's frame to the camera's.
     placed = frame(pose.tilt_deg, np.add([0.0, 0.0, lens_end + BEHIND_LENS], pose.shift_mm))
     o, d = points(placed, start), directions(placed, towards)
-    # The truth sees the ray that the engine is given, its rounding in the camera's frame included.
+    # The truth gets the engine's ray, including its rounding in the camera's frame.
     back = inverse(placed)
     landings, weights = plate.land(points(back, o), directions(back, d), around)
     landings = np.stack([points(placed, landing) for landing in landings])
@@ -52,7 +52,7 @@ def _array(
 
 
 def _sensor_pose(pose: Pose, plate: Plate) -> Pose:
-    """Return the pose that keeps the sensor where it was as seen from the array."""
+    """Return the pose that keeps the sensor fixed relative to the array."""
     nominal = plate.thickness + plate.to_sensor
     turned = frame(pose.tilt_deg)[:, 2] * nominal
     shift = np.add(pose.shift_mm, turned) - [0.0, 0.0, nominal]
@@ -60,7 +60,7 @@ def _sensor_pose(pose: Pose, plate: Plate) -> Pose:
 
 
 def _cone(count: int, radius: float, slope: float) -> tuple[Array, Array]:
-    """Return rays in the array's frame that reach its disk of a radius at slopes up to one."""
+    """Return rays in the array's frame that meet a disk of it at slopes up to one value."""
     d = np.column_stack([disk(slope, count, 7), np.ones(count)])
     at = np.column_stack([disk(radius, count, 8), np.zeros(count)])
     return at - 2.0 * d, d
@@ -92,7 +92,7 @@ def lenslets_500_um() -> Outcome:
 
 @case
 def far_and_tilted() -> Outcome:
-    """Put the array 1 m from the origin, tilted by 10 degrees."""
+    """Place the array 1 m from the origin, tilted by 10 degrees."""
     plate = Plate(False, 0.125, 65, 65, 0.25, 0.3, 1.5, 0.3)
     o, d = _cone(20_000, 3.5, 0.4)
     pose = Pose(shift_mm=(0.0, 0.0, 1000.0), tilt_deg=(10.0, 0.0, 0.0))
@@ -108,7 +108,7 @@ def lytro_size() -> Outcome:
 
 
 def _both_faces(hexagonal: bool, steep: float) -> Outcome:
-    """Cross a plate with lenslets on both faces, whose corners all but touch in the glass."""
+    """Cross a plate with lenslets on both faces, almost touching at their corners in the glass."""
     corner = 0.125 / np.sqrt(3.0 if hexagonal else 2.0)
     radius = steep * corner
     thickness = (1.0 + 1e-9) * 2.0 * (radius - np.sqrt(radius**2 - corner**2))
@@ -119,18 +119,18 @@ def _both_faces(hexagonal: bool, steep: float) -> Outcome:
 
 @case
 def two_faces() -> Outcome:
-    """Cross square lenslets on both faces of a plate that all but touch at their corners."""
+    """Cross square lenslets on both faces of a plate, almost touching at their corners."""
     return _both_faces(False, 2.0)
 
 
 @case
 def two_hexagonal_faces() -> Outcome:
-    """Cross hexagonal lenslets on both faces of a plate that all but touch at their corners."""
+    """Cross hexagonal lenslets on both faces of a plate, almost touching at their corners."""
     return _both_faces(True, 2.5)
 
 
 def _borders(hexagonal: bool, conic: float = 0.0) -> Outcome:
-    """Aim rays into the planes of cell borders, along them, and through the corners where cells meet."""
+    """Aim rays into the planes of cell borders, along them, and through the corners of cells."""
     plate = Plate(hexagonal, 0.125, 33, 33, 0.15, 0.3, 1.5, 0.3, conic=conic)
     draw = np.random.default_rng(11)
     n = 3000
@@ -149,26 +149,26 @@ def _borders(hexagonal: bool, conic: float = 0.0) -> Outcome:
     d[:, :2] = np.concatenate(
         [0.3 * draw.normal(size=(n, 2)), draw.uniform(-0.4, 0.4, (n, 1)) * along, np.zeros((n, 2))]
     )
-    # The point aimed at lies on the border's plane in the middle of the layer, before the faces are met.
+    # The target point is on the border's plane in the middle of the layer, in front of the faces.
     start = np.column_stack([at, np.full(3 * n, 0.02)]) - 2.0 * d
     return _array(plate, start, d, around=4, tolerance=1e-11, relative=1e-10)
 
 
 @case
 def square_borders() -> Outcome:
-    """Aim rays along the cell borders and through the cell corners of a square array."""
+    """Aim rays along cell borders and through cell corners of a square array."""
     return _borders(False)
 
 
 @case
 def hexagonal_borders() -> Outcome:
-    """Aim rays along the cell borders and through the cell corners of a hexagonal array."""
+    """Aim rays along cell borders and through cell corners of a hexagonal array."""
     return _borders(True)
 
 
 @case
 def across_cells() -> Outcome:
-    """Cross several cells within the layer of curved faces, at slopes up to 8."""
+    """Cross several cells inside the layer of curved faces, at slopes up to 8."""
     plate = Plate(True, 0.1, 101, 101, 0.06, 0.2, 1.3, 0.02)
     draw = np.random.default_rng(12)
     n = 20_000
@@ -180,7 +180,7 @@ def across_cells() -> Outcome:
 
 @case
 def lenslets_that_turn_back() -> Outcome:
-    """Cross hexagonal aspheres that are deepest at 0.8 of the way to their corners, at slopes up to 0.8."""
+    """Cross hexagonal aspheres, deepest at 0.8 of the distance to their corners, at slopes up to 0.8."""
     pitch, radius = 0.125, 0.2
     deepest = 0.8 * pitch / np.sqrt(3.0)
     plate = Plate(True, pitch, 65, 65, radius, 0.3, 1.5, 0.3, conic=-1.0, asphere=(-0.25 / (radius * deepest**2),))
@@ -190,5 +190,5 @@ def lenslets_that_turn_back() -> Outcome:
 
 @case
 def borders_of_hyperbolic_lenslets() -> Outcome:
-    """Aim rays along the cell borders and through the cell corners of a square array of hyperboloids."""
+    """Aim rays along cell borders and through cell corners of a square array of hyperboloids."""
     return _borders(False, conic=-2.25)

@@ -1,4 +1,4 @@
-"""Sensors that reflect nearly all light, close behind plane faces of high index: most of the picture is ghosts."""
+"""Highly reflective sensors close behind plane faces of high index, so that ghosts dominate the image."""
 
 from typing import Any
 
@@ -11,20 +11,20 @@ from lfmesh.transport.render.render import render
 REFLECTS, INDEX = 0.999, 4.0
 
 CLOSE_MM = 1e-3
-"""Thickness of a cover and of its gap through which the pupil looks as large by every path."""
+"""Thickness of a cover and of its gap, small enough that the pupil looks the same by every path."""
 
 BEHIND_MM = 44.9
-"""From the lens to an array."""
+"""Distance from the lens to an array."""
 
 GAP_MM = 0.1
-"""Behind it; nearer, few rays through a lenslet would come to the opening."""
+"""Gap behind the array; if smaller, few rays through a lenslet would reach the opening."""
 
 PASSES = np.arange(2000)
-"""Between plate and sensor; light that passes more often is below rounding."""
+"""Passes between plate and sensor; further ones are below rounding."""
 
 
 def _wall(stop_mm: float, changes: dict[str, Any], distance: float) -> Scene:
-    """Return an evenly bright wall before a lens that reflects nothing, and a mirror with pixels behind it."""
+    """Return an evenly bright wall in front of a lens without reflections, and a mirror with pixels behind it."""
     wall = Target(
         shape=Plane(width_mm=2e3, height_mm=2e3), position_mm=(0.0, 0.0, -500.0),
         material=Material(reflectance=0.0, radiance_w_m2_sr=1.0),
@@ -43,12 +43,12 @@ def _wall(stop_mm: float, changes: dict[str, Any], distance: float) -> Scene:
 
 
 def _compared(scene: Scene, pupil: float | np.ndarray[Any, Any] = 1.0) -> Outcome:
-    """Compare what all paths bring over the image path with an incoherent plate before a mirror.
+    """Compare the light of all paths, over the image path's, with an incoherent plate in front of a mirror.
 
     Parameters
     ----------
     pupil : float or (PASSES,) float64
-        Solid angle of the pupil after so many passes between plate and sensor, over that by the image path.
+        Solid angle of the pupil after each number of passes between plate and sensor, over the image path's.
     """
     image = render(scene)
     path = render(scene.changed({"transport.split": "transmit", "transport.samples": 1024}))
@@ -67,14 +67,14 @@ def _compared(scene: Scene, pupil: float | np.ndarray[Any, Any] = 1.0) -> Outcom
 
 @case
 def sensor_that_detects_a_thousandth() -> Outcome:
-    """See a wall by a sensor that reflects 0.999 behind a cover of germanium's index, through a small stop."""
+    """View a wall with a sensor of reflectance 0.999 behind a cover of index 4, through a small stop."""
     cover = {"thickness_mm": CLOSE_MM, "gap_mm": CLOSE_MM, "index": INDEX}
     return _compared(_wall(0.5, {"camera.sensor.cover": cover}, 45.0))
 
 
 @case
 def array_before_a_bright_sensor() -> Outcome:
-    """See a wall by a sensor that reflects 0.999 behind an array of germanium's index, its lenslets all but flat."""
+    """View a wall with a sensor of reflectance 0.999 behind an array of index 4 with almost flat lenslets."""
     array = {
         "count": [60, 60], "pitch_mm": 0.1, "radius_mm": 1e6, "index": INDEX, "thickness_mm": 0.2 * GAP_MM,
         "distance_mm": BEHIND_MM,

@@ -1,4 +1,4 @@
-"""The sensor's cover glass at the limits of its thickness, its index and the angle of incidence."""
+"""The sensor's cover glass at the limits of thickness, index and angle of incidence."""
 
 import numpy as np
 
@@ -21,24 +21,24 @@ from lfmesh.transport.world import build
 
 COUNT = 10_000
 LEAST_RAD = 1e-3
-"""The smallest angle at which a ray grazes a cover."""
+"""Smallest grazing angle at a cover."""
 
 START_MM = 5.0
-"""From the last vertex of the lens to where rays start."""
+"""Distance from the last vertex of the lens to the starts of rays."""
 
 
 def _through(
     thickness: float, gap: float, index: float, directions: Array, *, distance: float = 40.0,
     tolerance: float = 1e-12, relative: float = 1e-12,
 ) -> Outcome:  # fmt: skip
-    """Trace rays from behind the lens through a cover of a thickness, a gap behind it and an index onto the sensor."""
+    """Trace rays from behind the lens to the sensor through a cover with a thickness, a gap and an index."""
     cover = {"thickness_mm": thickness, "gap_mm": gap, "index": index}
     scene = lens_scene(SINGLET, sensor_mm=1e13, distance=distance).changed({"camera.sensor.cover": cover})
     z = scene.camera.lens.vertices_mm[-1] + START_MM
     starts = np.column_stack([disk(5.0, COUNT, 3), np.full(COUNT, z)])
     paths = trace(build(scene), starts, directions, split="transmit")
     across, cosine = directions[:, :2], directions[:, 2]
-    # From the sine: of rays that graze the plate the root of the other cosine loses nothing.
+    # From the sine, which keeps its digits for grazing rays.
     inside = np.sqrt(index**2 - np.square(across).sum(axis=1))
     air = sensor_z(scene) - z - thickness
     landing = starts[:, :2] + across * (air / cosine + thickness / inside)[:, None]
@@ -49,43 +49,43 @@ def _through(
 
 @case
 def cover_of_air() -> Outcome:
-    """Pass a cover of index 1, which is none."""
+    """Cross a cover of index 1, which has no effect."""
     return _through(2.0, 1.0, 1.0, tilted(COUNT, 1.0))
 
 
 @case
 def cover_of_index_4() -> Outcome:
-    """Pass a cover of germanium's index."""
+    """Cross a cover of germanium's index."""
     return _through(2.0, 1.0, 4.0, tilted(COUNT, 1.0))
 
 
 @case
 def cover_of_1_nm() -> Outcome:
-    """Pass a cover of 1 nm that lies 1 nm before the sensor."""
+    """Cross a cover of 1 nm, 1 nm in front of the sensor."""
     return _through(1e-6, 1e-6, 1.5, tilted(COUNT, 1.0))
 
 
 @case
 def cover_of_10_m() -> Outcome:
-    """Pass a cover of 10 m."""
+    """Cross a cover of 10 m."""
     return _through(1e4, 1.0, 1.5, tilted(COUNT, 1.0), distance=1.1e4, tolerance=1e-8)
 
 
 @case
 def grazing_a_cover() -> Outcome:
-    """Graze a cover, down to a milliradian, and land far from the axis."""
+    """Graze a cover at angles down to a milliradian, and land far from the axis."""
     draw = np.random.default_rng(4)
     angle, phi = LEAST_RAD * 10.0 ** draw.uniform(0.0, 2.0, COUNT), draw.uniform(0.0, 2.0 * np.pi, COUNT)
     d = np.column_stack([np.cos(angle) * np.cos(phi), np.cos(angle) * np.sin(phi), np.sin(angle)])
-    # Behind the plate the angle θ comes from a refraction near the critical angle, where a rounding error ε of the
-    # cosine inside makes one of ε n² / θ; the landing is gap / θ away from where the ray leaves the plate.
+    # Behind the plate the angle θ comes from a refraction near the critical angle. There, a rounding error ε of the
+    # cosine inside becomes ε n² / θ; the ray lands gap / θ away from its exit point.
     index, gap, rounding = 1.5, 1.0, np.finfo(np.float64).eps * 1.5**2
     return _through(2.0, gap, index, d, tolerance=gap * rounding / LEAST_RAD**3, relative=rounding / LEAST_RAD**2)
 
 
 @case
 def tilted_behind_a_cover() -> Outcome:
-    """Let light run between a lens and the cover of a sensor that is tilted by up to 20 degrees."""
+    """Reflect light between a lens and the cover of a sensor tilted by up to 20 degrees."""
     glow = Target(
         shape=Plane(width_mm=2.0, height_mm=2.0), position_mm=(0.0, 0.0, -200.0),
         material=Material(reflectance=0.0, radiance_w_m2_sr=1.0),
@@ -99,8 +99,8 @@ def tilted_behind_a_cover() -> Outcome:
         stands = scene.changed({"camera.sensor.pose.tilt_deg": (tilt, 0.0, 0.0)})
         forward += images_of(stands, [1], method="forward", samples=64, split="transmit")
         adjoint += images_of(stands.changed({"camera.sensor.reflectance": 0.2}), [1], samples=1024)
-    # By the same random numbers the sensor catches all of a small target's light, however it stands; a cover lets
-    # through as much of it as of light along the axis, within 0.1 % up to these angles.
+    # With the same random numbers the sensor catches all of a small target's light at any tilt. The cover transmits as
+    # much of it as on the axis, to 0.1 % up to these angles.
     light = np.array([image.mean.sum() for image in forward])
     off = float(np.abs(light / light[0] - 1.0).max())
     return of_images(

@@ -1,4 +1,4 @@
-"""Lenslets whose diffraction spreads light over most of a micro-image."""
+"""Lenslets with diffraction that spreads light over most of a micro-image."""
 
 import numpy as np
 from scipy.special import j1
@@ -9,19 +9,19 @@ from lfmesh.scene import Camera, Lens, MicrolensArray, Scene, Sensor, Surface, T
 from lfmesh.scene.objects.targets import Disk, Material
 
 PITCH_MM, PIXELS, F_NUMBER, NM = 0.01, 10, 8.0, 550.0
-"""Of a lenslet, the pixels behind it, the f-number of both lenses, and the wavelength."""
+"""Lenslet pitch, pixels behind a lenslet, f-number of both lenses, and wavelength."""
 
 ALLOWED = 0.006
-"""Sum of differences from the closed form, over the light: cosines and glass lenslets take 0.25 %, noise the rest."""
+"""Sum of differences from the closed form, over the light: 0.25 % for cosines and glass lenslets, the rest noise."""
 
 ORDERS = 60
-"""Of the Fourier series over a pitch; none is left beyond p² / (λ f)."""
+"""Orders of the Fourier series over a pitch; it has none beyond p² / (λ f)."""
 
 
 def _white_picture() -> Array:
-    """Return the share of a lenslet's light on each of its pixels, (n, n), by scalar waves of small angles.
+    """Return the fraction of a lenslet's light on each of its pixels, (n, n), by scalar waves at small angles.
 
-    The pupil's image, a disk as wide as a lenslet, convolved with sinc² in both axes and summed over all lenslets: a
+    The pupil's image, a disk as wide as a lenslet, is convolved with sinc² in both axes and summed over all lenslets: a
     Fourier series over the pitch, times the transfer function of a square (J. W. Goodman, Introduction to Fourier
     Optics, 6.3).
     """
@@ -36,14 +36,14 @@ def _white_picture() -> Array:
 
 @case
 def lenslets_10_um_and_pixels_1_um() -> Outcome:
-    """Spread light behind lenslets of 10 µm at f/8 by diffraction, over nine of their ten pixels of 1 µm."""
+    """Diffract light behind lenslets of 10 µm at f/8, over nine of their ten pixels of 1 µm."""
     away, across, disk_mm = 40.0, 31, 1e4
     lens = Surface(paraxial=True, focal_length_mm=away, semi_diameter_mm=0.5 * away / F_NUMBER, stop=True)
     mla = MicrolensArray(
         count=(across, across), pitch_mm=PITCH_MM, focal_length_mm=(F_NUMBER * PITCH_MM,), index=1.5, thickness_mm=0.01,
         distance_mm=away,
     )  # fmt: skip
-    # What the lens shows on the array, which the middle lenslet's neighbours see whole.
+    # The part imaged on the array, all of it visible to the neighbours of the middle lenslet.
     radius = 0.75 * across * PITCH_MM / away * disk_mm + 1.5 * away / F_NUMBER
     scene = Scene(
         camera=Camera(

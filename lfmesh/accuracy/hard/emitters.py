@@ -1,4 +1,4 @@
-"""Emitting targets that light others from where their light is hard to find."""
+"""Emitting targets that illuminate others from places where their light is hard to find."""
 
 import tempfile
 from pathlib import Path
@@ -13,7 +13,7 @@ from lfmesh.scene import Camera, Lens, Scene, Sensor, Target
 from lfmesh.scene.objects.targets import Material, Plane, Sphere
 
 HALF_MM = 0.1
-"""Half the side of the patch that is lit."""
+"""Half the side of the illuminated patch."""
 
 REFLECTANCE, RADIANCE = 0.6, 7.0
 SEEDS = 16
@@ -21,7 +21,7 @@ LARGEST_SIGMA = 0.01
 
 
 def _sheet(start: tuple[float, float], end: tuple[float, float], width: float, **material: Any) -> Target:
-    """Return a sheet along y from one point of the xz plane to another."""
+    """Return a sheet along y between two points of the xz plane."""
     along = np.subtract(end, start)
     return Target(
         shape=Plane(width_mm=float(np.hypot(*along)), height_mm=width),
@@ -32,7 +32,7 @@ def _sheet(start: tuple[float, float], end: tuple[float, float], width: float, *
 
 
 def _powers(patch: dict[str, float], others: list[Target]) -> Array:
-    """Return the power of images of a small patch and what stands on it, by the same seeds, W."""
+    """Return the power of images of a small patch and its neighbours, W, with the same seeds."""
     lens = surfaces_of(((20.0, 3.0, 1.5), (-20.0, 0.0, 1.0)), aperture=2.0)
     scene = Scene(
         camera=Camera(focus_mm=60.0, lens=Lens(surfaces=tuple(lens)), sensor=Sensor(pixels=(12, 12), pixel_mm=0.025)),
@@ -42,9 +42,9 @@ def _powers(patch: dict[str, float], others: list[Target]) -> Array:
 
 
 def _irradiance(corners: Array, at: Array) -> float:
-    """Return what polygons (n, k, 3) of radiance 1 give an element that faces +z: Lambert's sum over the edges.
+    """Return the irradiance of an element facing +z from polygons (n, k, 3) of radiance 1, by Lambert's sum over edges.
 
-    Those that show their back, in clockwise order, count nothing.
+    Clockwise polygons, seen from behind, do not count.
     """
     to = corners - at
     to /= np.linalg.norm(to, axis=2, keepdims=True)
@@ -55,7 +55,7 @@ def _irradiance(corners: Array, at: Array) -> float:
 
 
 def _over_patch(corners: Array, order: int) -> float:
-    """Return the mean of `_irradiance` over the patch, whose middle is the origin, by Gauss' rule of some order."""
+    """Return the mean of `_irradiance` over the patch, centred on the origin, by Gauss' rule."""
     nodes, weights = np.polynomial.legendre.leggauss(order)
     places = np.array([(HALF_MM * x, HALF_MM * y, 0.0) for x in nodes for y in nodes])
     shares = 0.25 * np.outer(weights, weights).ravel()
@@ -64,7 +64,7 @@ def _over_patch(corners: Array, order: int) -> float:
 
 @case
 def emitter_on_the_surface() -> Outcome:
-    """Light a matt patch by a glowing sheet that touches it along an edge, where 1 / r² has no bound."""
+    """Illuminate a matt patch by a glowing sheet touching it along an edge, where 1 / r² is unbounded."""
     sheet = _sheet((HALF_MM, -60.0), (HALF_MM + 8.0, -56.0), 10.0, reflectance=0.0, radiance_w_m2_sr=RADIANCE)
     corners = np.array(
         [[HALF_MM, -5.0, 0.0], [HALF_MM, 5.0, 0.0], [HALF_MM + 8.0, 5.0, 4.0], [HALF_MM + 8.0, -5.0, 4.0]]
@@ -73,8 +73,8 @@ def emitter_on_the_surface() -> Outcome:
 
 
 def _outcome(glowing: Target, expected: float) -> Outcome:
-    """Hold the irradiance of the patch by a target that glows against the one expected, W/m²."""
-    # The camera sees that target as well, which it sees alone where the patch is black.
+    """Compare the irradiance of the patch from a glowing target with the expected one, W/m²."""
+    # The camera sees the target as well; with a black patch it sees only the target.
     lit, alone = (_powers({"reflectance": reflectance}, [glowing]) for reflectance in (REFLECTANCE, 0.0))
     glow = _powers({"reflectance": 0.0, "radiance_w_m2_sr": 1.0}, [])
     found = np.pi / REFLECTANCE * (lit - alone) / glow
@@ -86,12 +86,12 @@ def _outcome(glowing: Target, expected: float) -> Outcome:
 
 
 BALLS = (((0.0, 2.0, 1.2), 0.1, 25.0), ((1500.0, 0.0, 1200.0), 300.0, 2.0), ((-30.0, 5.0, 15.0), 8.0, 0.01))
-"""Centres from the patch's middle, mm, radii, mm, and radiances of balls, none of which hides another."""
+"""Centres from the patch's centre, mm, radii, mm, and radiances of balls that do not hide each other."""
 
 
 @case
 def near_dim_facets_beside_far_bright_ones() -> Outcome:
-    """Light a matt patch by 61,440 facets: half its light is from balls with a millionth of their power."""
+    """Illuminate a matt patch by 61,440 facets, half its light from balls with a millionth of their power."""
     ball = trimesh.creation.icosphere(subdivisions=5)
     glow = _powers({"reflectance": 0.0, "radiance_w_m2_sr": 1.0}, [])
     with tempfile.TemporaryDirectory() as folder:
@@ -105,7 +105,7 @@ def near_dim_facets_beside_far_bright_ones() -> Outcome:
             for (x, y, z), radius, radiance in BALLS
         ]  # fmt: skip
         lit = _powers({"reflectance": REFLECTANCE}, others)
-    # The facets of a convex mesh hide none of those that face the patch, which is small against the distances.
+    # In a convex mesh all facets facing the patch are visible; the patch is small compared to the distances.
     expected = sum(
         radiance * _over_patch(radius * ball.triangles + np.array(centre), 4) for centre, radius, radiance in BALLS
     )
@@ -118,7 +118,7 @@ def near_dim_facets_beside_far_bright_ones() -> Outcome:
 
 
 def _factor_of_ball(radius: float, aside: Array, height: float) -> Array:
-    """Return form factors of elements that face +z to a ball that their horizon cuts.
+    """Return form factors from elements that face +z to a ball that their horizon cuts.
 
     J. R. Howell, A Catalog of Radiation Heat Transfer Configuration Factors: a differential element to a sphere.
 
@@ -126,9 +126,9 @@ def _factor_of_ball(radius: float, aside: Array, height: float) -> Array:
     ----------
     radius : float, mm
     aside : (n,) float64, mm
-        Distances of the elements from the foot of its centre.
+        Horizontal distance from each element to the ball's centre.
     height : float, mm
-        Of its centre above them.
+        Height of its centre.
     """
     h2 = (aside**2 + height**2) / radius**2
     cosine = height / np.hypot(aside, height)
@@ -139,7 +139,7 @@ def _factor_of_ball(radius: float, aside: Array, height: float) -> Array:
 
 @case
 def ball_cut_by_the_horizon() -> Outcome:
-    """Light a matt patch by a glowing ball that stands beside it and reaches below its plane."""
+    """Illuminate a matt patch by a glowing ball beside it that reaches below its plane."""
     radius, aside, height = 4.0, 4.4, 1.2
     ball = Target(
         shape=Sphere(radius_mm=radius), position_mm=(aside, 0.0, height - 60.0),

@@ -1,4 +1,4 @@
-"""Glossy surfaces at the ends of what they may be: smooth, rough, faint and dense, seen along the surface."""
+"""Glossy surfaces at their limits: smooth, rough, low and high index, at grazing incidence."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,12 @@ from lfmesh.transport.tables.scattering import ScatteringTables, scattering_tabl
 DRAWN = 20_000
 COSINES = (1.0, 0.1, 1e-2, 1e-4, 1e-8)
 MOST_SIGMAS = 4.5
-"""Of twenty shares, one is as far off once in 7000 runs with other random numbers."""
+"""With twenty values, one is that far off once in 7000 runs."""
 
 
 @kernel
 def _carried(scattering: ScatteringTables, point: Point, x: float, z: float, key: np.uint64, found: NDArray) -> None:  # type: ignore[type-arg]
-    """Write what random directions carry of the light that arrives along (x, 0, z), (n,)."""
+    """Write the weights (n,) of random directions for light that arrives along (x, 0, z)."""
     for i in range(len(found)):
         own = derived(key, i)
         found[i] = sample(scattering, point, 0, (x, 0.0, z), uniform(own, 0), uniform(own, 1))[3]
@@ -27,7 +27,7 @@ def _carried(scattering: ScatteringTables, point: Point, x: float, z: float, key
 
 @case
 def gloss_at_its_ends() -> Outcome:
-    """Light glossy white surfaces of the smallest and largest roughness, index 1.01 and 4, down to grazing."""
+    """Illuminate glossy white surfaces of extreme roughness, index 1.01 and 4, down to grazing."""
     point = Point(0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 1.0)
     carried = np.empty(DRAWN)
     worst, shares = 0.0, []

@@ -10,7 +10,7 @@ from lfmesh.transport.traced_paths import Paths
 from lfmesh.transport.world import World, build
 
 WINDOW = surfaces_of(((np.inf, 4.0, 1.5), (-50.0, 0.0, 1.0)))
-"""A flat front face, and power enough behind it to make a lens."""
+"""A flat front face, with enough power behind it to make a lens."""
 
 
 def _bundle(count: int, radius: float = 9.0, spread: float = 0.15) -> tuple[Array, Array]:
@@ -20,14 +20,14 @@ def _bundle(count: int, radius: float = 9.0, spread: float = 0.15) -> tuple[Arra
 
 @case
 def normal_incidence() -> Outcome:
-    """Meet a flat face at normal incidence, where the sin and tan quotients of Fresnel's equations are 0/0."""
+    """Meet a flat face at normal incidence, where Fresnel's sin and tan quotients are 0/0."""
     scene = lens_scene(WINDOW)
     o = np.column_stack([disk(9.0, 2000), np.full(2000, -60.0)])
     return through_lens(scene, o, np.tile([0.0, 0.0, 1.0], (2000, 1)), 1e-12)
 
 
 def _first_split(world: World, o: Array, d: Array) -> tuple[Paths, Array]:
-    """Return (n, 2) reflected and transmitted weight at the first interface each ray meets; NaN where there is none."""
+    """Return reflected and transmitted weight (n, 2) at the first interface of each ray; NaN if none."""
     paths = trace(world, o, d, split="both", record=True, weight_cutoff=0.0, max_events=6)
     shares = np.zeros((len(o), 2))
     met = np.zeros(len(o), dtype=bool)
@@ -62,7 +62,7 @@ def grazing() -> Outcome:
 
 
 def _graze(front: tuple[tuple[float, float, float], ...]) -> Outcome:
-    """Graze a sphere that stands behind other surfaces, from 3 mm before it."""
+    """Graze a sphere behind other surfaces, starting 3 mm in front of it."""
     radius = 20.0
     scene = lens_scene(surfaces_of((*front, (radius, 6.0, 1.5), (-radius, 0.0, 1.0))))
     vertex = scene.camera.lens.vertices_mm[len(front)]
@@ -82,7 +82,7 @@ def _graze(front: tuple[tuple[float, float, float], ...]) -> Outcome:
         path = paths.vertices(packet)
         if path[1].surface == f"lens surface {len(front)}":
             error[source] = np.linalg.norm(path[1].position - truth[source])
-    # What the rounding of a coordinate of 20 mm moves along the ray, at this angle.
+    # Shift along the ray at this angle due to the rounding of a coordinate of 20 mm.
     right = error * angle <= 1e-14
     lost = int((paths.status == Status.LOST).sum())
     return outcome(
@@ -93,13 +93,13 @@ def _graze(front: tuple[tuple[float, float, float], ...]) -> Outcome:
 
 @case
 def grazing_sphere() -> Outcome:
-    """Graze a sphere from outside, at 1e-1 to 1e-7 rad, where rays pass above the chords of its mesh."""
+    """Graze a sphere from outside, at 1e-1 to 1e-7 rad, where rays pass above its mesh's chords."""
     return _graze(())
 
 
 @case
 def grazing_inside() -> Outcome:
-    """Graze a sphere within the lens, where rays that pass above its mesh would end on an edge, unseen."""
+    """Graze a sphere inside the lens, where rays above its mesh would end on an edge, undetected."""
     return _graze(((np.inf, 2.0, 1.5), (np.inf, 3.0, 1.0)))
 
 
@@ -117,7 +117,7 @@ def critical_angle() -> Outcome:
     # 1 − sin²θ / sin²θc = sin(θc + θ) sin(θc − θ) / sin²θc, which keeps its digits.
     inside = np.maximum(np.sin(critical + angle) * np.sin(-beyond), 0.0) * 1.5**2
     true = np.where(beyond < 0.0, transmittance(1.5, 1.0, np.cos(angle), np.sqrt(inside)), 0.0)
-    # Four roundings of a direction, in rad, on a share that grows with the root of the angle.
+    # Four roundings of a direction, in rad, on a fraction that grows with the root of the angle.
     rounding = 4.0 * np.finfo(float).eps
     reach = np.sqrt(np.abs(beyond) + rounding) - np.sqrt(np.maximum(np.abs(beyond) - rounding, 0.0))
     allowed = 20.0 * reach + 1e-14
@@ -134,7 +134,7 @@ def critical_angle() -> Outcome:
 
 @case
 def matched_indices() -> Outcome:
-    """Cross glass of index 1, which reflects and bends nothing."""
+    """Cross glass of index 1, which reflects and refracts nothing."""
     strong = ((50.0, 4.0, 1.5168), (-50.0, 1.0, 1.0), (np.inf, 3.0, 1.0), (-30.0, 0.0, 1.0))
     scene = lens_scene(surfaces_of(strong))
     o, d = _bundle(5000)
@@ -150,7 +150,7 @@ def faint_glass() -> Outcome:
 
 @case
 def dense_glass() -> Outcome:
-    """Cross a lens of index 4, inside which most angles are beyond the critical one."""
+    """Cross a lens of index 4, with most angles inside beyond the critical angle."""
     o, d = _bundle(5000, 9.0)
     surfaces = ((100.0, 5.0, 4.0), (150.0, 0.0, 1.0))
     return through_lens(lens_scene(surfaces_of(surfaces), distance=20.0), o, d, 1e-11)

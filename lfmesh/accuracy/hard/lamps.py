@@ -1,4 +1,4 @@
-"""Lamps that shine onto a rough surface of the camera from as near and as far as they may stand."""
+"""Lamps that shine onto a rough surface of the camera from the smallest and largest distances."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ from lfmesh.transport.world import build
 DISTANCES_MM = (1e-9, 1e-4, 0.1, 1.0, 100.0, 1e5)
 APERTURE_MM, TO_SENSOR_MM, WINDOW_MM, SENSOR_MM = 6.0, 5.0, 1.0, 4.0
 ALMOST_AIR = 1.0 + 1e-9
-"""Index of a window that reflects nothing and bends nothing, but scatters at its front."""
+"""Index of a window that neither reflects nor refracts, but scatters at its front."""
 
 SAMPLES, REPLICATES = 2048, 16
 MOST_SIGMAS, LARGEST_SIGMA = 4.0, 0.015
@@ -25,7 +25,7 @@ TUBE_MM = 10.0
 
 
 def _scene(lamp: Light, samples: int) -> Scene:
-    """Return a lamp before an opal window, with the sensor close behind."""
+    """Return a lamp in front of an opal window, with the sensor close behind."""
     window = (
         Surface(
             thickness_mm=WINDOW_MM, index=ALMOST_AIR, semi_diameter_mm=APERTURE_MM, finish="diffuse", stop=True
@@ -44,24 +44,24 @@ def _scene(lamp: Light, samples: int) -> Scene:
 
 
 def _expected(distance_mm: float) -> float:
-    """Return the power on the sensor by quadrature: each ring of the window scatters what falls on it evenly."""
+    """Return the power on the sensor by quadrature: each ring of the window scatters its light evenly."""
     widest = 0.5 * np.arctan2(APERTURE_MM, distance_mm)
     angles = widest * (NODES + 1.0)
     return _on_sensor(widest * WEIGHTS * 0.5 * np.sin(angles), distance_mm * np.tan(angles))
 
 
 def _expected_of_tube(distance_mm: float) -> float:
-    """Return the power on the sensor of a tube along the axis, from a distance on.
+    """Return the power on the sensor from a tube along the axis that starts at a distance.
 
-    Its irradiance at a radius ρ is ∫ sin θ cos θ / r² along it, which is ρ/2 (1 / (ρ² + a²) − 1 / (ρ² + b²)) over its
-    length and times its largest intensity, with a and b the distances of its ends.
+    Its irradiance at a radius ρ is the largest intensity over the length, times ∫ sin θ cos θ / r² along it. The
+    integral is ρ/2 (1 / (ρ² + a²) − 1 / (ρ² + b²)), with a and b the distances of the ends.
     """
     near, far = distance_mm, distance_mm + TUBE_MM
-    # By pieces that grow with the radius, from well inside the near end's own distance.
+    # In pieces that grow with the radius, from well inside the near end's distance.
     edges = np.concatenate([[0.0], np.geomspace(min(1e-3 * near, 1e-3), APERTURE_MM, 24)])
     half = 0.5 * np.diff(edges)[:, None]
     radii = (edges[:-1, None] + half * (NODES + 1.0)).ravel()
-    # 1 / (ρ² + a²) − 1 / (ρ² + b²), without the digits that cancel far away.
+    # 1 / (ρ² + a²) − 1 / (ρ² + b²), without cancellation far away.
     apart = TUBE_MM * (near + far) / ((radii**2 + near**2) * (radii**2 + far**2))
     return _on_sensor((half * WEIGHTS).ravel() * radii**2 * apart / (np.pi * TUBE_MM), radii)
 
@@ -70,7 +70,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
 def _on_sensor(rings: Array, radii: Array) -> float:
-    """Return the power on the sensor of that on rings of the window, W, of their radii, mm."""
+    """Return the power on the sensor from rings of the window with given powers, W, and radii, mm."""
     half = 0.5 * SENSOR_MM
     x, y = np.meshgrid(half * NODES, half * NODES)
     areas = half * half * np.outer(WEIGHTS, WEIGHTS)
@@ -88,14 +88,14 @@ def _on_sensor(rings: Array, radii: Array) -> float:
 
 @case
 def lamps_at_an_opal_front() -> Outcome:
-    """Light a window that scatters by a lamp from 1 pm to 100 m before it."""
+    """Illuminate a scattering window by a lamp 1 pm to 100 m in front of it."""
     lamps = [PointLight(position_mm=(0.0, 0.0, -distance), power_w=1.0) for distance in DISTANCES_MM]
     return _outcome(lamps, [_expected(distance) for distance in DISTANCES_MM])
 
 
 @case
 def tubes_at_an_opal_front() -> Outcome:
-    """Light a window that scatters by a tube of 10 mm along the axis, whose end is 1 pm to 100 m before it."""
+    """Illuminate a scattering window by an axial tube of 10 mm that ends 1 pm to 100 m in front of it."""
     lamps = [
         LineLight(start_mm=(0.0, 0.0, -distance), end_mm=(0.0, 0.0, -distance - TUBE_MM), power_w=1.0)
         for distance in DISTANCES_MM
@@ -104,7 +104,7 @@ def tubes_at_an_opal_front() -> Outcome:
 
 
 def _outcome(lamps: Sequence[Light], expected: list[float], samples: int = SAMPLES) -> Outcome:
-    """Compare the light of each lamp on the sensor with what is expected."""
+    """Compare the light of each lamp on the sensor with the expected power."""
     found, errors, lost = [], [], 0.0
     for lamp in lamps:
         image = Renderer(build(_scene(lamp, samples))).image()

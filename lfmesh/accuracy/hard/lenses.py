@@ -1,4 +1,4 @@
-"""Lenses: surfaces close to each other, surfaces that bulge as far as they can, aspheres that mislead Newton."""
+"""Lenses: surfaces close to each other, extreme curvature, aspheres that mislead Newton's method."""
 
 import numpy as np
 
@@ -39,7 +39,7 @@ def _air_gap(gap: float, meniscus: bool = True) -> Outcome:
 
 @case
 def thin_lenses_at_every_angle() -> Outcome:
-    """Meet thin lenses of f/0.3 on either side of glass, at up to 80 degrees and to their rims."""
+    """Cross thin lenses of f/0.3 on either side of glass, up to 80 degrees and to their rims."""
     surfaces = [
         Surface(paraxial=True, focal_length_mm=6.0, thickness_mm=2.0, semi_diameter_mm=10.0, stop=True),
         Surface(radius_mm=30.0, thickness_mm=4.0, index=1.7, semi_diameter_mm=10.0),
@@ -53,10 +53,10 @@ def thin_lenses_at_every_angle() -> Outcome:
 
 @case
 def flat_port_in_water() -> Outcome:
-    """Look through a window into water, at angles up to that of total reflection, where light comes in along it."""
+    """Look through a window into water, at angles up to total reflection."""
     surfaces = surfaces_of(((np.inf, 5.0, 1.5), (np.inf, 0.0, 1.0)))
     scene = lens_scene(surfaces, sensor_mm=1e4).changed({"camera.lens.object_medium": {"index": 1.333}})
-    # The tangent of the critical angle is 1.1345: some leave at 87 degrees, where rounding grows three hundredfold.
+    # The tangent of the critical angle is 1.1345: some rays leave at 87 degrees, where rounding grows 300-fold.
     d = tilted(20_000, 1.134)
     o = np.column_stack([disk(3.0, 20_000), np.zeros(20_000)]) - 5.0 * d
     return through_lens(scene, o, d, 1e-8)
@@ -64,31 +64,31 @@ def flat_port_in_water() -> Outcome:
 
 @case
 def gap_10_um() -> Outcome:
-    """Leave 10 µm of air between curved faces."""
+    """Cross 10 µm of air between curved faces."""
     return _air_gap(0.01)
 
 
 @case
 def gap_1_um() -> Outcome:
-    """Leave 1 µm of air between curved faces."""
+    """Cross 1 µm of air between curved faces."""
     return _air_gap(0.001)
 
 
 @case
 def gap_100_nm() -> Outcome:
-    """Leave 0.1 µm of air between curved faces, less than their meshes can."""
+    """Cross 0.1 µm of air between curved faces, less than their meshes can resolve."""
     return _air_gap(0.0001)
 
 
 @case
 def flat_gap_100_nm() -> Outcome:
-    """Leave 0.1 µm of air between flat faces."""
+    """Cross 0.1 µm of air between flat faces."""
     return _air_gap(0.0001, meniscus=False)
 
 
 @case
 def cemented_triplet() -> Outcome:
-    """Cement three glasses, with two interfaces that belong to two elements each."""
+    """Cross three cemented glasses with two interfaces that each belong to two elements."""
     surfaces = surfaces_of((
         (40.0, 6.0, 1.5168), (-30.0, 2.0, 1.7283), (28.0, 5.0, 1.6204), (-60.0, 0.0, 1.0),
     ))  # fmt: skip
@@ -106,7 +106,7 @@ def thin_meniscus() -> Outcome:
 
 @case
 def touching_edges() -> Outcome:
-    """Let two lenses touch at their rims, so that the air between them ends in an edge."""
+    """Cross two lenses that touch at their rims, so that the air between them ends in an edge."""
     sag = 50.0 - np.sqrt(50.0**2 - 10.0**2)
     surfaces = surfaces_of((
         (80.0, 5.0, 1.5), (50.0, 2.0 * sag, 1.0), (-50.0, 5.0, 1.6), (-90.0, 0.0, 1.0),
@@ -117,13 +117,13 @@ def touching_edges() -> Outcome:
 
 @case
 def touching_vertices() -> Outcome:
-    """Let two lenses touch in a point on the axis, where the air between them vanishes."""
+    """Cross two lenses that touch at a point on the axis, where the air between them vanishes."""
     surfaces = surfaces_of((
         (80.0, 5.0, 1.5), (-50.0, 0.0, 1.0), (50.0, 5.0, 1.6), (-90.0, 0.0, 1.0),
     ))  # fmt: skip
     draw = np.random.default_rng(4)
     o, d = _bundle(20_000, 9.9)
-    # Half of them at the point of contact, within 1e-1 to 1e-9 mm.
+    # Half of them pass the point of contact within 1e-1 to 1e-9 mm.
     near = 10_000
     o[:near] = np.column_stack(
         [draw.normal(size=(near, 2)) * 10.0 ** draw.uniform(-9.0, -1.0, (near, 1)), np.zeros(near)]
@@ -134,14 +134,14 @@ def touching_vertices() -> Outcome:
 
 @case
 def whispering_gallery() -> Outcome:
-    """Creep along the inside of a ball, at 1e-1 to 1e-4 rad, between its surface and its mesh."""
+    """Creep along the inside of a ball, at 1e-1 to 1e-4 rad, between surface and mesh."""
     surfaces = surfaces_of(((5.0, 10.0, 1.5), (-5.0, 0.0, 1.0)), 4.5)
     draw = np.random.default_rng(6)
     n = 5000
     grazing, latitude = 10.0 ** draw.uniform(-4.0, -1.0, n), draw.uniform(-0.5, 0.5, n)
     phi = draw.uniform(0.0, 2.0 * np.pi, n)
-    # From a point 1e-6 mm below the front, in a plane through the centre: there the next point of the polygon that
-    # the path describes is known.
+    # Start 1e-6 mm below the front, in a plane through the centre, where the next point of the polygonal path is
+    # known.
     theta = 0.3 + 0.5 * np.abs(latitude)
     out = np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)])
     along = np.column_stack([-np.cos(theta) * np.cos(phi), -np.cos(theta) * np.sin(phi), -np.sin(theta)])
@@ -182,7 +182,7 @@ def hemisphere() -> Outcome:
     r = 5.0 - 10.0 ** draw.uniform(-7.0, 0.6, 20_000)
     phi = draw.uniform(0.0, 2.0 * np.pi, len(r))
     o = np.column_stack([r * np.cos(phi), r * np.sin(phi), np.full(len(r), -20.0)])
-    # 1e-7 mm from the rim the slope, 7e3, multiplies the rounding of a ray's place.
+    # 1e-7 mm from the rim the slope of 7e3 multiplies the rounding of a ray's position.
     return through_lens(
         lens_scene(surfaces, distance=3.0), o, np.tile([0.0, 0.0, 1.0], (len(r), 1)), 1e-8,
         relative=1e-6,
@@ -191,20 +191,20 @@ def hemisphere() -> Outcome:
 
 @case
 def diverging_newton() -> Outcome:
-    """Meet an asphere on which Newton's step runs away: a steep bump of the eighth order on a plane."""
+    """Meet a steep bump of the eighth order on a plane, where Newton's method diverges."""
     surfaces = [
         Surface(asphere_mm=(0.0, 0.0, -3e-7), thickness_mm=4.0, index=1.2, semi_diameter_mm=8.0, stop=True),
         Surface(radius_mm=-90.0, semi_diameter_mm=12.0),
     ]
     o, d = _bundle(5000, 7.99, 0.6)
-    # Spread over the plane of the rim, which stands out towards the rays.
+    # Spread over the plane of the rim, which protrudes towards the rays.
     o[:, 2] -= 6.2
     return through_lens(lens_scene(surfaces, distance=10.0), o, d, 1e-10, relative=1e-10)
 
 
 @case
 def mild_asphere_of_a_deep_sphere() -> Outcome:
-    """Meet Forbes' mild asphere up to its rim, where its sphere is inclined by 36 degrees."""
+    """Meet Forbes' mild asphere to its rim, where its sphere is inclined by 36 degrees."""
     qbfs = {"norm_radius_mm": 5.0, "coefficients_mm": (0.3, -0.1, 0.05, -0.02)}
     surfaces = [
         Surface(radius_mm=8.5, thickness_mm=6.0, index=1.6, semi_diameter_mm=5.0, stop=True, qbfs=qbfs),
@@ -229,7 +229,7 @@ def odd_powers() -> Outcome:
 
 @case
 def deep_toroid() -> Outcome:
-    """Meet a toroid up to 0.99 of where its circle in x turns back, and behind it a cylinder."""
+    """Meet a toroid to 0.99 of the radius of its circle in x, and a cylinder behind it."""
     surfaces = [
         Surface(
             radius_mm=8.0, toroid=Toroid(radius_x_mm=5.0), thickness_mm=9.0, index=1.3, semi_diameter_mm=4.95, stop=True
@@ -242,7 +242,7 @@ def deep_toroid() -> Outcome:
 
 @case
 def steep_saddles() -> Outcome:
-    """Meet saddles that rise in x and fall in y by up to 30 degrees, with rays of up to 30 degrees."""
+    """Meet saddles that rise in x and fall in y by up to 30 degrees, with equally steep rays."""
     saddle = Biconic(radius_x_mm=11.0, conic_x=-1.5)
     surfaces = [
         Surface(
@@ -256,25 +256,25 @@ def steep_saddles() -> Outcome:
 
 @case
 def two_roots() -> Outcome:
-    """Meet the ring-shaped ridge of an asphere with flat rays that cross it up to four times in one aperture."""
+    """Meet the ring-shaped ridge of an asphere with flat rays that cross it up to four times."""
     ridge = Surface(
         radius_mm=-6.0, conic=-1.0, asphere_mm=(1.8e-3,), thickness_mm=8.0, index=1.5, semi_diameter_mm=7.0, stop=True
     )
     scene = lens_scene([ridge, Surface(radius_mm=-60.0, semi_diameter_mm=12.0)], distance=15.0)
     draw = np.random.default_rng(9)
     n = 4000
-    # Half of them from outside the ridge, which stands 1 mm before the vertex, half from within it.
+    # Half of them start outside the ridge, which is 1 mm in front of the vertex, half inside it.
     start, aim = np.where(np.arange(n) < n // 2, 9.0, draw.uniform(0.0, 3.0, n)), draw.uniform(-5.0, 5.0, n)
     phi = draw.uniform(0.0, 2.0 * np.pi, n)
     along = np.column_stack([np.cos(phi), np.sin(phi), draw.uniform(0.0, 0.05, n)])
     o = np.column_stack([-start * np.cos(phi), -start * np.sin(phi), draw.uniform(-1.1, -0.75, n)])
     o[:, :2] += aim[:, None] * np.column_stack([-np.sin(phi), np.cos(phi)])
     face = faces_of(scene)[0]
-    # What starts behind the surface would have to come through it; what passes beside it is another's case.
+    # Leave out rays that start behind the surface, and rays that pass beside it.
     r2 = o[:, 0] ** 2 + o[:, 1] ** 2
     d = along / np.linalg.norm(along, axis=1, keepdims=True)
     roots, depth = face.crossings(o, d, 20.0)
-    # Within 0.15 mm of the surface rays may start behind, or pass over, the chords of its coarse mesh.
+    # Within 0.15 mm of the surface, rays may start behind, or pass over, the chords of its coarse mesh.
     chosen = ((r2 > 7.1**2) | (o[:, 2] < face.sag(r2) - 0.15)) & (roots >= 2) & (depth > 0.15)
     o, d, roots = o[chosen], d[chosen], roots[chosen]
     true = face.meet(o, d)
@@ -297,7 +297,7 @@ def two_roots() -> Outcome:
 
 @case
 def bulges_grazed() -> Outcome:
-    """Graze aspheres that bulge between the chords of their meshes, and are spheres to 1e-14 mm."""
+    """Graze aspheres, spherical to 1e-14 mm, that bulge between the chords of their meshes."""
     spheres, aspheres = (
         lens_scene(
             [
@@ -311,7 +311,7 @@ def bulges_grazed() -> Outcome:
     draw = np.random.default_rng(0)
     n = 40_000
     d = draw.normal(size=(n, 3))
-    # Half of them nearly square to the axis.
+    # Half of them are nearly perpendicular to the axis.
     d[:, 2] = np.abs(d[:, 2]) * np.where(np.arange(n) < n // 2, 0.2, 2.0)
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     o = np.column_stack([draw.uniform(-6.0, 6.0, (n, 2)), draw.uniform(-3.0, 3.0, n)]) - 40.0 * d
@@ -324,7 +324,7 @@ def bulges_grazed() -> Outcome:
 
 @case
 def hyperboloid() -> Outcome:
-    """Meet a conic with k < −1, whose other sheet lies in the rays' way."""
+    """Meet a conic with k < −1 and its second sheet in the rays' path."""
     surfaces = [
         Surface(radius_mm=-8.0, conic=-3.5, thickness_mm=3.0, index=1.7, semi_diameter_mm=10.0, stop=True),
         Surface(radius_mm=40.0, conic=-2.2, semi_diameter_mm=10.0),

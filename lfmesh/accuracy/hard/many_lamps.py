@@ -1,4 +1,4 @@
-"""Thousands of lamps of very unequal powers, near and far, before and behind what they light."""
+"""Thousands of lamps with very unequal powers, near and far, in front of and behind a patch."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from lfmesh.scene.objects.targets import Material, Plane
 LAMPS = 3000
 HALF_MM, AWAY_MM = 1.0, 60.0
 DECADES = 8.0
-"""Of the lamps' powers at equal distances."""
+"""Range of the lamps' powers at equal distances."""
 
 REFLECTANCE = 0.8
 SEEDS = 16
@@ -19,12 +19,7 @@ LARGEST_SIGMA = 0.01
 
 
 def _lamps(nearest: float, farthest: float) -> tuple[Array, Array]:
-    """Return places from the patch's centre, mm (n, 3), and powers, W (n,); every third lamp is behind the patch.
-
-    Parameters
-    ----------
-    nearest, farthest : float, mm
-    """
+    """Return positions (n, 3) from the patch's centre, mm, and powers (n,), W; every third lamp is behind the patch."""
     random = np.random.default_rng(64)
     distance = np.exp(random.uniform(np.log(nearest), np.log(farthest), LAMPS))
     cosine, phi = random.uniform(0.1, 1.0, LAMPS), random.uniform(0.0, 2.0 * np.pi, LAMPS)
@@ -35,7 +30,7 @@ def _lamps(nearest: float, farthest: float) -> tuple[Array, Array]:
 
 
 def _onto_patch(places: Array, powers: Array) -> float:
-    """Return the power that lamps send onto the patch, W: of each the solid angle of a rectangle, over 4 π."""
+    """Return the power from lamps on the patch, W: for each, the solid angle of a rectangle over 4 π."""
     x, y, z = places[places[:, 2] > 0.0].T
     solid = np.zeros(len(x))
     for a, one in ((HALF_MM - x, 1.0), (-HALF_MM - x, -1.0)):
@@ -45,7 +40,7 @@ def _onto_patch(places: Array, powers: Array) -> float:
 
 
 def _powers(lamps: tuple[PointLight, ...], **material: float) -> Array:
-    """Return the power of images of the patch by some seeds, W (SEEDS,)."""
+    """Return the power of images of the patch for some seeds, W (SEEDS,)."""
     lens = surfaces_of(((20.0, 3.0, 1.5), (-20.0, 0.0, 1.0)), aperture=2.0)
     patch = Target(
         shape=Plane(width_mm=2.0 * HALF_MM, height_mm=2.0 * HALF_MM),
@@ -60,8 +55,8 @@ def _powers(lamps: tuple[PointLight, ...], **material: float) -> Array:
 
 
 def _lit(places: Array, powers: Array) -> Outcome:
-    """Compare what lamps give the patch with the solid angles that it fills for them."""
-    # No lamp stands in the camera, nor behind it as the patch sees it.
+    """Compare the light from lamps on the patch with the solid angles that it subtends."""
+    # Exclude lamps inside the camera, or hidden from the patch by it.
     free = (np.hypot(places[:, 0], places[:, 1]) > 0.2 * places[:, 2]) | (places[:, 2] < 0.8 * AWAY_MM)
     places, powers = places[free], powers[free]
     lamps = tuple(
@@ -80,11 +75,11 @@ def _lit(places: Array, powers: Array) -> Outcome:
 
 @case
 def thousands_of_unequal_lamps() -> Outcome:
-    """Light a matt patch by 3,000 lamps of eight decades of power, from 3 mm to 3 m away and on both sides."""
+    """Illuminate a matt patch by 3,000 lamps over eight decades of power, from 3 mm to 3 m on both sides."""
     return _lit(*_lamps(3.0, 3e3))
 
 
 @case
 def lamps_from_1_mm_to_100_m() -> Outcome:
-    """Light a matt patch by 3,000 lamps of eight decades of power, from 1 mm, half its width, to 100 m away."""
+    """Illuminate a matt patch by 3,000 lamps over eight decades of power, from 1 mm (half its width) to 100 m."""
     return _lit(*_lamps(1.0, 1e5))

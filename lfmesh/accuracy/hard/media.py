@@ -1,4 +1,4 @@
-"""Light through media at their ends: no depth and all of it, one voxel, faces of cells, sharp phase functions."""
+"""Light through media at their limits: optical depth, single voxels, cell faces, sharp phase functions."""
 
 import tempfile
 from pathlib import Path
@@ -22,19 +22,19 @@ MIDDLE = -200.0
 """z of the centres of media, mm."""
 
 DEPTHS = (1e-300, 1e-17, 1e-9, 1.0, 40.0, 700.0)
-"""Optical depths; e⁻⁷⁰⁰ is about the least that float64 holds."""
+"""Optical depths; e⁻⁷⁰⁰ is about the smallest value in float64."""
 
 RELATIVE = 1e-12
-"""Tolerance of transmittances, for each unit of optical depth."""
+"""Tolerance of transmittances per unit of optical depth."""
 
 AT_LENS = 3e-9
-"""The same at the lens, whose box begins a billionth of its size before the glass: there the medium ends."""
+"""The same at the lens: there the medium ends at the lens's box, a billionth of its size in front of the glass."""
 
 ALONG = 1e-12
-"""Part of a face's unit normal along a line, and mm beside the face, below which the line lies in the face."""
+"""Component of a face's unit normal along a line, and mm beside the face, below which the line lies in the face."""
 
 KOLMOGOROV = 2.2
-"""Distance between two distributions, over the root of the number, which is larger by chance once in 8,000 times."""
+"""Distance between two distributions, times the root of the count, that chance exceeds once in 8,000 times."""
 
 
 def _in_front(
@@ -65,7 +65,7 @@ def _away(world: World, x: Array, y: Array, **settings: Any) -> Paths:
 
 
 def _straight(paths: Paths, count: int) -> Array:
-    """Return the weight of each ray that arrives at the chart without an event; NaN if it does not."""
+    """Return the weight of each ray that reaches the chart without an event; NaN if it does not."""
     weight = np.full(count, np.nan)
     arrived = (paths.status == Status.TARGET) & (paths.events == 0)
     weight[paths.source[arrived]] = paths.weight[arrived]
@@ -75,15 +75,7 @@ def _straight(paths: Paths, count: int) -> Array:
 def _compared(
     paths: Paths | list[Paths], found: Array, depth: Array, what: str, tolerance: float = RELATIVE
 ) -> Outcome:
-    """Compare transmittances with e to the minus optical depth.
-
-    Parameters
-    ----------
-    paths : Paths or list of Paths
-    found, depth : (n,) float64
-    what : str
-    tolerance : float
-    """
+    """Compare transmittances with e to the minus optical depth, (n,) each."""
     error = np.abs(found * np.exp(depth) - 1.0) / (1.0 + depth)
     worst = float(np.max(error)) if len(error) and np.isfinite(error).all() else np.inf
     return outcome(
@@ -94,7 +86,7 @@ def _compared(
 
 @case
 def depths_of_absorption() -> Outcome:
-    """Cross slabs of optical depths from 1e-300 to 700."""
+    """Cross absorbing slabs with optical depths from 1e-300 to 700."""
     traces = [_away(build(_in_front(_slab(10.0, absorption_per_mm=0.1 * d))), np.zeros(1), np.zeros(1)) for d in DEPTHS]
     found = np.concatenate([_straight(paths, 1) for paths in traces])
     return _compared(traces, found, np.array(DEPTHS), "what passes straight on")
@@ -102,7 +94,7 @@ def depths_of_absorption() -> Outcome:
 
 @case
 def depths_of_scattering() -> Outcome:
-    """Cross slabs that scatter all they stop, of optical depths from 1e-300 to 700: nothing is absorbed there."""
+    """Cross purely scattering slabs with optical depths from 1e-300 to 700, without any absorption."""
     traces = [_away(build(_in_front(_slab(10.0, scattering_per_mm=0.1 * d))), np.zeros(8), np.zeros(8)) for d in DEPTHS]
     found = np.concatenate([_straight(paths, 8) for paths in traces])
     result = _compared(traces, found, np.repeat(DEPTHS, 8), "what passes straight on")
@@ -112,12 +104,12 @@ def depths_of_scattering() -> Outcome:
 
 @case
 def sharp_phase_functions() -> Outcome:
-    """Scatter by Henyey and Greenstein with g = ±0.999 and an albedo of 1, and compare the cosines' distribution."""
+    """Scatter by Henyey–Greenstein with g = ±0.999 and albedo 1, and compare the distribution of cosines."""
     traces, worst = [], 0.0
     for g in (0.999, -0.999):
         phase = {"kind": "henyey_greenstein", "g": g}
         world = build(_in_front(_slab(1.0, scattering_per_mm=0.01, phase=phase)))
-        # So far from the axis that what comes back passes beside the lens.
+        # So far from the axis that returning light passes beside the lens.
         aside = np.full(20_000, 300.0)
         paths = _away(world, aside, aside)
         once = (paths.events == 1) & (paths.weight > 0.0)
@@ -138,7 +130,7 @@ def sharp_phase_functions() -> Outcome:
 
 @case
 def one_voxel() -> Outcome:
-    """Cross a grid of a single voxel, trilinear, through its middle, its edges and its corners."""
+    """Cross a trilinear grid of a single voxel through its middle, its edges and its corners."""
     with tempfile.TemporaryDirectory(prefix="lfmesh-") as folder:
         world = build(_in_front(_voxels(Path(folder), np.full((1, 1, 1), 0.5), 4.0), folder=Path(folder)))
     inside = np.array([0.0, 1.0, -1.999, 1.999, 0.5, -2.0 + 1e-12])
@@ -148,7 +140,7 @@ def one_voxel() -> Outcome:
 
 @case
 def plane_of_voxels() -> Outcome:
-    """Cross grids that are one voxel thick, along and across the plane, by both ways to interpolate."""
+    """Cross grids that are one voxel thick, along and across the plane, with both interpolations."""
     traces, found, depth = [], [], []
     for way in ("trilinear", "constant"):
         for shape in ((5, 5, 1), (1, 5, 5)):
@@ -165,14 +157,14 @@ def plane_of_voxels() -> Outcome:
 
 @case
 def mesh_round_a_medium() -> Outcome:
-    """Cross media along lines through all vertices of a ball of 1,280 facets and through diagonals of a box's faces."""
+    """Cross media along lines through all vertices of a ball of 1,280 facets and through diagonals of box faces."""
     traces, found, depth = [], [], []
     kappa = 0.05
     ball, box = trimesh.creation.icosphere(3, 8.0), trimesh.creation.box((8.0, 6.0, 4.0))
     for mesh, aims in ((ball, ball.vertices), (box, 0.5 * box.vertices)):
         planes = ConvexHull(mesh.vertices).equations
         across = np.abs(planes[:, 2]) > ALONG
-        # A line within a face may count or not.
+        # Exclude lines within a face, which may or may not count as inside.
         aims = aims[(aims @ planes[~across, :3].T + planes[~across, 3] < -ALONG).all(axis=1)]
         with tempfile.TemporaryDirectory(prefix="lfmesh-") as folder:
             mesh.export(Path(folder) / "shell.off", digits=17)
@@ -188,7 +180,7 @@ def mesh_round_a_medium() -> Outcome:
 
 @case
 def along_faces_of_cells() -> Outcome:
-    """Run along faces and edges of constant voxels, where both sides are right, but nothing in between twice."""
+    """Run along faces and edges of constant voxels, where either side is right, but nothing may count twice."""
     draw = np.random.default_rng(3)
     values = draw.uniform(0.01, 0.4, (4, 4, 16))
     with tempfile.TemporaryDirectory(prefix="lfmesh-") as name:
@@ -213,7 +205,7 @@ def along_faces_of_cells() -> Outcome:
 
 @case
 def medium_at_the_lens() -> Outcome:
-    """Come into the lens out of a medium that touches it, in front of a convex, a flat and a hollow surface."""
+    """Enter the lens from a medium that touches it, in front of a convex, a flat and a concave surface."""
     traces, found, depth = [], [], []
     kappa, start = 0.3, 8.0
     for radius, behind in ((50.0, -50.0), (np.inf, -50.0), (-30.0, -20.0)):
@@ -238,7 +230,7 @@ def medium_at_the_lens() -> Outcome:
 
 @case
 def hottest_and_coldest_gas() -> Outcome:
-    """Look at a grey slab from 1 K to 1e6 K: its emittance times Planck's radiance, without overflow."""
+    """Look at a grey slab of 1 K to 1e6 K: emittance times Planck's radiance, without overflow."""
     kappa, thickness = 0.05, 10.0
     changes: dict[str, Any] = {
         "camera.sensor.bands": [{"name": "G", "center_nm": 550.0, "fwhm_nm": 2.0}],
@@ -257,7 +249,7 @@ def hottest_and_coldest_gas() -> Outcome:
     shares = [gas / wall for kelvin, (gas, wall) in powers.items() if wall > 0.0]
     finite = bool(np.isfinite(list(powers.values())).all())
     expected = -np.expm1(-kappa * thickness)
-    # Rays aslant cross more of the slab, by 4 % at the edges of the pixels.
+    # Oblique rays cross more of the slab, by 4 % at the edges of the pixels.
     passed = finite and len(shares) >= 3 and all(expected < share < 1.1 * expected for share in shares)
     return Outcome(
         "", f"{expected:.4f} of a black wall's light, or a little more aslant", ", ".join(f"{s:.4f}" for s in shares),
@@ -266,7 +258,7 @@ def hottest_and_coldest_gas() -> Outcome:
 
 
 def _thin_fog(scattering: float, thickness: float, lamps: list[dict[str, Any]]) -> tuple[Array, Array]:
-    """Render thin fog along a single line, by each of some lamps; return radiances and errors, W/(m² sr)."""
+    """Render thin fog along a single line, by one lamp at a time; return radiances and errors, W/(m² sr)."""
     changes: dict[str, Any] = {
         "camera.sensor.pixels": (2, 2),
         "camera.sensor.pixel_mm": 1e-6,
@@ -288,13 +280,13 @@ def _thin_fog(scattering: float, thickness: float, lamps: list[dict[str, Any]]) 
 
 @case
 def lamp_beside_the_line() -> Outcome:
-    """Look through thin fog along lines that pass a lamp at 0.1 to 100 mm, where the light that is scattered peaks."""
+    """Look through thin fog along lines that pass a lamp at 0.1 to 100 mm, where the scattered light peaks."""
     scattering, thickness, power = 1e-6, 200.0, 2.0
     aside = np.array([0.1, 1.0, 10.0, 100.0])
     lamps = [{"kind": "point", "position_mm": [each, 0.0, MIDDLE], "power_w": power} for each in aside]
     found, errors = _thin_fog(scattering, thickness, lamps)
     angle = 2.0 * np.arctan(0.5 * thickness / aside)
-    # The integral of σ P / (4π)² r² along the line, per mm²; lengths of radiances are metres.
+    # The integral of σ P / (4π)² r² along the line, per mm²; radiances are per m².
     expected = 1e6 * scattering * power * angle / ((4.0 * np.pi) ** 2 * aside)
     return _along_line(found / expected, errors / expected, "the integral of 1 / r² along the line")
 
@@ -316,7 +308,7 @@ def disk_lamp_on_the_line() -> Outcome:
 
 
 def _along_line(found: Array, sigma: Array, what: str, beside: float = 0.0) -> Outcome:
-    """Compare what was found, over what is expected, with 1; the truth leaves out that much."""
+    """Compare found over expected light with 1, allowing a deviation not covered by the truth."""
     off = np.maximum(np.abs(found - 1.0) - beside, 0.0) / sigma
     return Outcome(
         "", f"{what} within 4 σ, σ below 4 %", f"off by {off.max():.1f} σ, σ = {sigma.max():.1%}",
@@ -325,15 +317,15 @@ def _along_line(found: Array, sigma: Array, what: str, beside: float = 0.0) -> O
 
 
 def _glowing(emission: float, **values: Any) -> dict[str, Any]:
-    """Return a fog that glows as a body of the source function 1 W/(m² sr) does, with the albedo 0."""
+    """Return a fog that glows with the source function 1 W/(m² sr) and has the albedo 0."""
     return {"emission_w_mm3_sr": 1e-6 * emission, "absorption_per_mm": emission, **values}
 
 
 @case
 def camera_in_glowing_fog() -> Outcome:
-    """Stand in fog that glows, absorbs and scatters, between walls as bright as it: all lines of sight are alike."""
-    # So it is whatever is scattered, where the medium ends just before the lens or touches it, and where media overlap.
-    # Only the camera is dark: what it hides from the fog is below half a percent.
+    """Place the camera in fog that glows, absorbs and scatters, between equally bright walls: all views are alike."""
+    # This holds for any scattering, if the medium ends just in front of the lens or touches it, and if media overlap.
+    # Only the camera is dark; it hides less than half a percent of the light.
     fog = {"scattering_per_mm": 0.002, "phase": {"kind": "henyey_greenstein", "g": 0.7}, **_glowing(0.01)}
     near = {"bounds": {"kind": "box", "size_mm": [5e3, 5e3, 300.0]}}
     media = {

@@ -1,4 +1,4 @@
-"""Meshes as files bring them: broken, skewed, far away, or huge."""
+"""Meshes from files: broken, skewed, far away, or huge."""
 
 from collections.abc import Callable
 
@@ -39,7 +39,7 @@ def _grid(count: int, size: float) -> trimesh.Trimesh:
 
 
 def _on_sheet(sheet: trimesh.Trimesh, aims: Array, *, tolerance: float = 1e-9, z: float = -100.0) -> Outcome:
-    """Shoot rays at points of an opaque sheet at a distance; every one ends on its plane."""
+    """Aim rays at points of an opaque sheet at a distance; all must end on its plane."""
     world = world_with(sheet, position_mm=(0.0, 0.0, z))
     draw = np.random.default_rng(21)
     d = np.column_stack([draw.uniform(-0.3, 0.3, (len(aims), 2)), -np.ones(len(aims))])
@@ -65,7 +65,7 @@ def _spread(count: int, size: float) -> Array:
 
 @case
 def duplicate_faces() -> Outcome:
-    """Hit a sheet that holds every facet twice."""
+    """Hit a sheet that contains every facet twice."""
     sheet = _grid(20, 60.0)
     sheet.faces = np.concatenate([sheet.faces, sheet.faces])
     return _on_sheet(sheet, _spread(20_000, 58.0))
@@ -73,7 +73,7 @@ def duplicate_faces() -> Outcome:
 
 @case
 def flipped_faces() -> Outcome:
-    """Hit a sheet of which every second facet looks the other way."""
+    """Hit a sheet with every second facet reversed."""
     sheet = _grid(20, 60.0)
     faces = np.array(sheet.faces)
     faces[::2] = faces[::2, ::-1]
@@ -83,7 +83,7 @@ def flipped_faces() -> Outcome:
 
 @case
 def zero_area() -> Outcome:
-    """Hit a sheet with facets without area, collinear and pointlike, among the others."""
+    """Hit a sheet that also has facets without area, collinear and pointlike."""
     sheet = _grid(20, 60.0)
     faces = np.array(sheet.faces)
     empty = np.concatenate([faces[:100, [0, 1, 1]], faces[:100, [0, 0, 0]], [[0, 1, 2], [1, 2, 3]]])
@@ -93,7 +93,7 @@ def zero_area() -> Outcome:
 
 @case
 def needles() -> Outcome:
-    """Hit a sheet cut into needles of aspect 1e8."""
+    """Hit a sheet cut into needles of aspect ratio 1e8."""
     height = 60.0
     cuts = np.concatenate([[-30.0], np.cumsum(np.full(200, 6e-7)) - 6e-5, [30.0]])
     low = np.column_stack([cuts, np.full(len(cuts), -0.5 * height), 0.0 * cuts])
@@ -124,7 +124,7 @@ def t_junction() -> Outcome:
 
 @case
 def non_manifold() -> Outcome:
-    """Aim rays at an edge that three sheets share."""
+    """Aim rays at an edge shared by three sheets."""
     sheet = _grid(4, 60.0)
     fin = trimesh.Trimesh([[0.0, -30.0, 0.0], [0.0, 30.0, 0.0], [0.0, 0.0, -5.0]], [[0, 1, 2]], process=False)
     both = trimesh.util.concatenate([sheet, fin])
@@ -134,7 +134,7 @@ def non_manifold() -> Outcome:
 
 @case
 def far_coordinates() -> Outcome:
-    """Bring a mesh whose coordinates lie near 1e6 mm in front of the camera."""
+    """Hit a mesh with coordinates near 1e6 mm that is moved in front of the camera."""
     sheet = _grid(50, 60.0)
     sheet.apply_translation([1e6, -1e6, 1e6])
     world = world_with(sheet, ending="ply", position_mm=(-1e6, 1e6, -1e6 - 100.0))
@@ -162,7 +162,7 @@ def million_triangles() -> Outcome:
 
 
 def _refused(body: trimesh.Trimesh, why: str) -> Outcome:
-    """Expect glass from a broken body to be refused in one line that says why."""
+    """Expect a broken glass body to be refused with a one-line reason."""
     try:
         world_with(body, index=1.5, position_mm=(0.0, 0.0, SPHERE_AT))
     except LfmeshError as error:
@@ -173,7 +173,7 @@ def _refused(body: trimesh.Trimesh, why: str) -> Outcome:
 
 @case
 def glass_with_duplicates() -> Outcome:
-    """Give glass a body that holds some facets twice."""
+    """Make glass of a body that contains some facets twice."""
     ball = trimesh.creation.icosphere(2, 5.0)
     ball.faces = np.concatenate([ball.faces, ball.faces[:40]])
     return _refused(ball, "closed body")
@@ -181,7 +181,7 @@ def glass_with_duplicates() -> Outcome:
 
 @case
 def glass_with_flips() -> Outcome:
-    """Give glass a body with facets that look inwards."""
+    """Make glass of a body with facets that face inwards."""
     ball = trimesh.creation.icosphere(2, 5.0)
     faces = np.array(ball.faces)
     faces[:40] = faces[:40, ::-1]
@@ -191,7 +191,7 @@ def glass_with_flips() -> Outcome:
 
 @case
 def glass_with_junction() -> Outcome:
-    """Give glass a body with a T-junction, which does not close."""
+    """Make glass of a body with a T-junction, which is not closed."""
     box = trimesh.creation.box((10.0, 10.0, 10.0))
     faces = np.array(box.faces)
     a, b, c = faces[0]
@@ -203,7 +203,7 @@ def glass_with_junction() -> Outcome:
 
 
 def _ball(change: Callable[[trimesh.Trimesh], trimesh.Trimesh], *, tolerance: float) -> Outcome:
-    """Look through a ball of glass from a mesh file, and hold what leaves it against a sphere."""
+    """Look through a glass ball from a mesh file, and compare the rays with a sphere's."""
     body = change(trimesh.creation.icosphere(5, 5.0))
     world = world_with(body, ending="ply", index=1.5, surface="patch", position_mm=(0.0, 0.0, SPHERE_AT))
     draw = np.random.default_rng(25)
@@ -225,7 +225,7 @@ def _ball(change: Callable[[trimesh.Trimesh], trimesh.Trimesh], *, tolerance: fl
 
 @case
 def coincident_vertices() -> Outcome:
-    """Look through a ball of glass whose facets share no vertex."""
+    """Look through a glass ball with facets that share no vertex."""
 
     def unmerged(ball: trimesh.Trimesh) -> trimesh.Trimesh:
         corners = np.asarray(ball.vertices)[ball.faces].reshape(-1, 3)
@@ -236,7 +236,7 @@ def coincident_vertices() -> Outcome:
 
 @case
 def glass_with_empty_facets() -> Outcome:
-    """Look through a ball of glass that has facets without area."""
+    """Look through a glass ball with facets without area."""
 
     def dirtied(ball: trimesh.Trimesh) -> trimesh.Trimesh:
         faces = np.concatenate([ball.faces, np.asarray(ball.faces)[:50][:, [0, 1, 1]]])
@@ -274,11 +274,11 @@ def corner_cube() -> Outcome:
 
 @case
 def trapped_light() -> Outcome:
-    """Trap light in a plate by total reflection, until it ends by depth."""
+    """Trap light in a plate by total reflection, until the limit on events ends it."""
     scene = lens_scene(surfaces_of(((np.inf, 0.05, 1.9), (np.inf, 2.0, 1.0), (60.0, 4.0, 1.5), (-60.0, 0.0, 1.0))))
     draw = np.random.default_rng(28)
     n = 5000
-    # Born in the glass, beyond its critical angle of 31.8 degrees, so near the axis that 64 reflections stay inside.
+    # Emitted in the glass beyond its critical angle of 31.8°, so near the axis that 64 reflections stay inside.
     angle, phi = np.deg2rad(draw.uniform(32.0, 60.0, n)), draw.uniform(0.0, 2.0 * np.pi, n)
     d = np.column_stack([np.sin(angle) * np.cos(phi), np.sin(angle) * np.sin(phi), np.cos(angle)])
     paths = trace(build(scene), np.tile([0.0, 0.0, 0.02], (n, 1)), d, split="both", weight_cutoff=0.0)

@@ -1,4 +1,4 @@
-"""Openings that are hard to find: stopped down to nothing, or seen through lenslets that bend light at random."""
+"""Openings that are hard to find: tiny stops, and lenses seen through steep lenslets."""
 
 import numpy as np
 
@@ -10,11 +10,11 @@ from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.world import build
 
 SENSOR_MM = 45.0
-"""Behind the lens, which is near its focus."""
+"""Distance of the sensor behind the lens, near its focus."""
 
 
 def _behind_stop(radius: float) -> list[Surface]:
-    """Return the singlet with a stop of a radius 5 mm behind it."""
+    """Return the singlet with a stop of a given radius 5 mm behind it."""
     front, back = SINGLET
     return [
         front.model_copy(update={"stop": False}),
@@ -43,7 +43,7 @@ def _pinhole(radius: float) -> Outcome:
     report = solved_camera(scene).facts
     z = scene.camera.lens.vertices_mm[-1] + SENSOR_MM
     found = opening_from(world.aim.exit.opening, (0.0, 0.0, z))[2]
-    # The exit pupil is the stop itself; seen from the sensor's middle in the lens's last plane.
+    # The exit pupil is the stop itself; project it from the sensor's centre to the lens's last plane.
     plane = world.aim.exit.opening.plane_z
     true = 0.5 * report.exit_pupil_diameter_mm * (z - plane) / (z - report.exit_pupil_z_mm)
     outcome = _proof(scene)
@@ -66,12 +66,12 @@ def stop_of_20_um() -> Outcome:
 
 @case
 def stop_of_10_nm() -> Outcome:
-    """Stop a lens down to a radius of 10 nm, a millionth of its own."""
+    """Stop a lens down to a radius of 10 nm, a millionth of its full radius."""
     return _pinhole(1e-5)
 
 
 def _steep_lenslets(side: str, share: float, index: float) -> Outcome:
-    """Aim at a wide lens through lenslets whose sphere ends at a multiple 1/share of their corners' distance."""
+    """Aim at a wide lens through lenslets with a radius of 1/share times their corners' distance."""
     corner = 0.1 / np.sqrt(2.0)
     mla = MicrolensArray(
         layout="square", count=(60, 60), pitch_mm=0.1, radius_mm=(float(corner / share),), index=index,
@@ -82,11 +82,11 @@ def _steep_lenslets(side: str, share: float, index: float) -> Outcome:
 
 @case
 def hemispheres_to_the_lens() -> Outcome:
-    """Aim at a lens of f/2.4 through dense lenslets that are hemispheres but for 1 %, towards the lens."""
+    """Aim at a lens of f/2.4 through high-index lenslets, within 1 % of hemispheres, towards the lens."""
     return _steep_lenslets("lens", 0.99, 1.9)
 
 
 @case
 def hemispheres_to_the_sensor() -> Outcome:
-    """Aim at a lens of f/2.4 through lenslets that are hemispheres but for 1 %, towards the sensor."""
+    """Aim at a lens of f/2.4 through lenslets, within 1 % of hemispheres, towards the sensor."""
     return _steep_lenslets("sensor", 0.99, 1.5)

@@ -29,7 +29,7 @@ class Outcome:
     Attributes
     ----------
     cause : str
-        What makes it hard.
+        Difficulty of the case.
     expected, got : str
         The right answer and the engine's, in words and figures.
     passed : bool
@@ -37,7 +37,7 @@ class Outcome:
     lost_energy, emitted : float
         In units of one ray's power.
     requeried : int
-        Queries that float64 refused and repeated.
+        Queries refused in float64 and repeated.
     """
 
     cause: str
@@ -50,7 +50,7 @@ class Outcome:
 
 
 def case(function: Callable[[], Outcome]) -> Callable[[], Outcome]:
-    """Make a function a hard case: the first line of its docstring, in words, is the cause."""
+    """Turn a function into a hard case; the first line of its docstring is the cause shown to users."""
 
     @wraps(function)
     def run() -> Outcome:
@@ -64,7 +64,7 @@ Prescription = Sequence[tuple[float, float, float]]
 
 
 def surfaces_of(prescription: Prescription, aperture: float = 10.0) -> list[Surface]:
-    """Return the surfaces of a prescription, the first of them the stop."""
+    """Return the surfaces of a prescription; the first is the stop."""
     last = len(prescription) - 1
     return [
         Surface(
@@ -79,14 +79,14 @@ def surfaces_of(prescription: Prescription, aperture: float = 10.0) -> list[Surf
 
 
 SINGLET = surfaces_of(((50.0, 4.0, 1.5168), (-50.0, 0.0, 1.0)))
-"""The biconvex lens that stands behind whatever a case puts before or behind it."""
+"""The default biconvex lens of the cases."""
 
 
 def lens_scene(
     surfaces: Sequence[Surface], *, sensor_mm: float = 60.0, distance: float = 40.0,
     mla: MicrolensArray | None = None, targets: tuple[Target, ...] = (),
 ) -> Scene:  # fmt: skip
-    """Return a camera with a lens of some surfaces and a sensor at a distance behind it.
+    """Return a camera with a lens and a sensor at a distance behind it.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def sensor_z(scene: Scene) -> float:
 
 
 def faces_of(scene: Scene) -> list[Interface]:
-    """Return the lens as the truth takes it; a stop that bends nothing is left out."""
+    """Return the lens in the format of the truth, without pure stops."""
     lens = scene.camera.lens
     return [
         Interface(
@@ -127,7 +127,7 @@ def faces_of(scene: Scene) -> list[Interface]:
 
 
 def _across(surface: Surface) -> tuple[str, float, float] | None:
-    """Return the section x–z of a surface as the truth takes it."""
+    """Return the x–z section of a surface in the format of the truth."""
     if surface.biconic is not None:
         return "biconic", surface.biconic.radius_x_mm, surface.biconic.conic_x
     if surface.toroid is not None:
@@ -138,43 +138,27 @@ def _across(surface: Surface) -> tuple[str, float, float] | None:
 
 
 def disk(radius: float, count: int, seed: int = 0) -> Array:
-    """Return (count, 2) random points of uniform density on a disk.
-
-    Parameters
-    ----------
-    radius : float
-    count : int
-    seed : int
-    """
+    """Return random points (count, 2), uniformly distributed on a disk."""
     draw = np.random.default_rng(seed)
     r, phi = radius * np.sqrt(draw.uniform(size=count)), draw.uniform(0.0, 2.0 * np.pi, count)
     return np.column_stack([r * np.cos(phi), r * np.sin(phi)])
 
 
 def tilted(count: int, spread: float, seed: int = 1) -> Array:
-    """Return (count, 3) unit directions round +z with slopes up to `spread`.
-
-    Parameters
-    ----------
-    count : int
-    spread : float
-        Largest slope.
-    seed : int
-    """
+    """Return unit directions (count, 3) about +z with slopes up to `spread`."""
     d = np.column_stack([disk(spread, count, seed), np.ones(count)])
     return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
 def outcome(paths: Paths | Sequence[Paths], expected: str, got: str, passed: bool) -> Outcome:
-    """Return an outcome with the ledgers of the traces it rests on.
+    """Return an outcome with the ledgers of its traces.
 
     Parameters
     ----------
     paths : Paths or sequence of Paths
     expected, got : str
-        In words.
     passed : bool
-        Apart from the ledgers, which have to close as well.
+        Apart from the ledgers, which must balance as well.
     """
     ledgers = [p.ledger for p in ([paths] if isinstance(paths, Paths) else paths)]
     closes = max(abs(ledger.imbalance) for ledger in ledgers)
@@ -192,30 +176,13 @@ def outcome(paths: Paths | Sequence[Paths], expected: str, got: str, passed: boo
 
 
 def images_of(scene: Scene, seeds: Iterable[int], **transport: Any) -> list[Image]:
-    """Return the images of a scene by seed, without the blind check; the scene is built once for all.
-
-    Parameters
-    ----------
-    scene : Scene
-    seeds : iterable of int
-    **transport
-        Settings in place of the scene's.
-    """
+    """Return the images of a scene by seed, without the blind check; `transport` overrides the scene's settings."""
     world = build(scene.changed({f"transport.{name}": value for name, value in transport.items()}))
     return [Renderer(world.reseeded(seed), check=False).image() for seed in seeds]
 
 
 def of_images(images: Sequence[Image], expected: str, got: str, passed: bool) -> Outcome:
-    """Return an outcome with the ledgers of images, each packet's power counted as 1.
-
-    Parameters
-    ----------
-    images : sequence of Image
-    expected, got : str
-        In words.
-    passed : bool
-        Apart from the ledgers, which have to close as well.
-    """
+    """Return an outcome with the ledgers of images, counting each packet's power as 1; see `outcome`."""
     ledgers = [image.ledger for image in images]
     closes = max(abs(ledger.imbalance) for ledger in ledgers)
     if not closes < 1e-9:
@@ -229,7 +196,7 @@ def of_images(images: Sequence[Image], expected: str, got: str, passed: bool) ->
 
 
 MOST_SIGMAS = 4.0
-"""By which two estimates may differ: by chance once in some thousand comparisons of a few seeds."""
+"""Largest difference of two estimates: chance exceeds it once in about a thousand comparisons of a few seeds."""
 
 
 def same_light(images: Sequence[Image], others: Sequence[Image], largest: float) -> Outcome:
@@ -239,7 +206,7 @@ def same_light(images: Sequence[Image], others: Sequence[Image], largest: float)
     ----------
     images, others : sequence of Image
     largest : float
-        Relative standard error of the ratio that still tells something.
+        Largest acceptable standard error of the ratio, relative.
     """
     one, other = (np.array([image.mean.sum() for image in each]) for each in (images, others))
     ratio = float(one.mean() / other.mean())
@@ -259,7 +226,9 @@ def on_sensor(
     stopped: NDArray[np.bool_] | None = None,
     relative: float = 1e-12,
 ) -> Outcome:
-    """Compare where rays land, one packet a ray, with where they should.
+    """Compare the landing points of rays, one packet per ray, with the truth.
+
+    A comparison fails if it covers at most a hundred rays, or a fifth of the rays that should arrive.
 
     Parameters
     ----------
@@ -268,12 +237,10 @@ def on_sensor(
     tolerance : float, mm
         Of the landing points.
     stopped : (n,) bool, optional
-        Rays that an aperture has to take; the rest must all reach the sensor's plane. Where the truth is NaN a ray
-        is turned back by total reflection and may end anywhere, but not as lost.
+        Rays that an aperture must stop; the others must all reach the sensor's plane. A ray with a NaN truth is totally
+        reflected and may end anywhere, but must not be lost.
     relative : float
         Tolerance of the weights.
-
-    A comparison of a hundred rays, or a fifth of those that should arrive, or fewer shows little, and fails.
     """
     count = len(truth)
     kept = np.ones(count, dtype=bool) if stopped is None else ~stopped
@@ -284,7 +251,7 @@ def on_sensor(
     known = np.isfinite(truth).all(axis=1)
     kept &= known
     wrong = int(((arrived != kept) & known & ~lost).sum())
-    # Beside the sensor a ray may land so far out that its rounding shows.
+    # Beside the sensor, a ray may land so far out that rounding shows.
     both = (paths.status == Status.SENSOR) & kept
     error = np.linalg.norm(paths.position - truth, axis=1)[both].max(initial=0.0)
     loss = np.abs(paths.weight / weight - 1.0)[both].max(initial=0.0)
@@ -301,19 +268,17 @@ def through_lens(
     scene: Scene, origins: ArrayLike, directions: ArrayLike, tolerance: float, *,
     world: World | None = None, relative: float = 1e-12,
 ) -> Outcome:  # fmt: skip
-    """Trace rays through a lens and compare with the truth, apertures included.
+    """Trace rays through a lens and compare them with the truth, including apertures.
 
     Parameters
     ----------
     scene : Scene
     origins : (n, 3) float64, mm, world frame
     directions : (n, 3) float64
-    tolerance : float, mm
-        Of the landing points.
+    tolerance, relative : float
+        See `on_sensor`.
     world : World, optional
-        The scene, if it is built already.
-    relative : float
-        Tolerance of the weights.
+        The scene, if already built.
     """
     paths = trace(world or build(scene), origins, directions, split="transmit")
     outside = refractive_index(scene.camera.lens.media[0], scene.primary_nm)
@@ -325,7 +290,7 @@ def through_lens(
 
 
 def cut(scene: Scene, true: Bundle) -> NDArray[np.bool_]:
-    """Return which rays an aperture of the lens takes."""
+    """Tell which rays are stopped by an aperture of the lens."""
     lens = scene.camera.lens
     limits = [s.semi_diameter_mm or np.inf for k, s in enumerate(lens.surfaces) if not lens.is_pure_stop(k)]
     return np.asarray(~(true.heights <= limits).all(axis=1))
@@ -335,19 +300,18 @@ def world_with(
     mesh: trimesh.Trimesh, *, ending: str = "stl", position_mm: tuple[float, float, float], index: float | None = None,
     surface: FacetLevel = "patch",
 ) -> World:  # fmt: skip
-    """Build the singlet with a body from a mesh file in front of it: of glass, if it has an index.
+    """Build the singlet with a body from a mesh file in front of it, of glass if it has an index.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
         Vertices in mm.
     ending : str
-        Of the file that it is written to.
+        Ending of the mesh file.
     position_mm : (x, y, z), mm, world frame
     index : float, optional
-        Refractive index; opaque if left out.
+        Refractive index. Default: opaque.
     surface : str
-        What a facet stands for.
     """
     with tempfile.TemporaryDirectory(prefix="lfmesh-") as folder:
         name = f"body.{ending}"

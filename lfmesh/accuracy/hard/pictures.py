@@ -1,4 +1,4 @@
-"""Whole pictures whose light is hard to aim at, or whose errors are hard to state."""
+"""Whole images with light that is hard to aim at, or with errors that are hard to state."""
 
 import tempfile
 from pathlib import Path
@@ -13,7 +13,7 @@ from lfmesh.scene import Camera, Lens, Refractor, Scene, Sensor, Target, load
 from lfmesh.scene.objects.targets import Material, Plane, Sphere
 
 ROOM_MM, HOLE_MM, KELVIN = 120.0, 0.6, 1700.0
-"""Sides of a room and of the hole in its front wall, and its temperature."""
+"""Sides of a room and of the hole in its front wall, and the room's temperature."""
 
 
 def _sheet(
@@ -28,7 +28,7 @@ def _sheet(
 
 @case
 def pixels_wider_than_lenslets_views() -> Outcome:
-    """Aim through lenslets of 1.5 pixels at f/5.45, as other pixels see them than the chief ray of a pixel's middle."""
+    """Aim through lenslets 1.5 pixels wide at f/5.45, where a pixel also sees lenslets off its centre's chief ray."""
     white = _sheet((0.0, 0.0, -500.0), (40.0, 40.0), reflectance=0.0, radiance_w_m2_sr=1.0)
     scene = load(asset_path("scenes/first_light.toml")).changed(
         {
@@ -42,7 +42,7 @@ def pixels_wider_than_lenslets_views() -> Outcome:
 
 @case
 def room_of_one_temperature() -> Outcome:
-    """Look into a room of one temperature, with balls of rough silver and of gloss in it, and see a black body."""
+    """Look into a room at one temperature, with balls of rough silver and gloss, and see a black body."""
     half, near = 0.5 * ROOM_MM, -0.1
     hot: dict[str, Any] = {"temperature_k": KELVIN}
     black = hot | {"reflectance": 0.0}
@@ -52,7 +52,7 @@ def room_of_one_temperature() -> Outcome:
         walls += [
             _sheet((side * half, 0.0, middle), (ROOM_MM, ROOM_MM), (0.0, 90.0, 0.0), **black),
             _sheet((0.0, side * half, middle), (ROOM_MM, ROOM_MM), (90.0, 0.0, 0.0), **black),
-            # The front wall, round the hole that the camera looks in by.
+            # The front wall, around the hole for the camera.
             _sheet((side * aside, 0.0, near), (half - 0.5 * HOLE_MM, ROOM_MM), **black),
             _sheet((0.0, side * aside, near), (HOLE_MM, half - 0.5 * HOLE_MM), **black),
         ]
@@ -75,7 +75,7 @@ def room_of_one_temperature() -> Outcome:
     }  # fmt: skip
     empty = Scene(camera=Camera.model_validate(camera), targets=tuple(walls)).changed({"transport.split": "transmit"})
     furnished = empty.changed({"targets": (*walls, *balls)})
-    # The light of the empty room is that of its walls, which nothing scatters.
+    # The light of the empty room comes straight from its walls, without scattering.
     return same_light(images_of(furnished, range(8), samples=2048), images_of(empty, range(8), samples=2048), 2e-3)
 
 
@@ -88,7 +88,7 @@ def _small_camera(pixels: int, pixel_mm: float) -> Camera:
 
 @case
 def wall_behind_a_block() -> Outcome:
-    """Aim what a matt wall scatters at a lens of 0.16 mm through a block of glass of 20 mm, from the lamp on."""
+    """Aim light from a matt wall at a lens of 0.16 mm through a glass block of 20 mm, forward from the lamp."""
     block = Target(refractor=Refractor(box_mm=(20.0, 20.0, 20.0), index=1.5), position_mm=(0.0, 0.0, -50.0))
     wall = _sheet((0.0, 0.0, -80.0), (16.0, 16.0), reflectance=0.8)
     lamp: dict[str, Any] = {"kind": "point", "position_mm": (45.0, 0.0, -45.0), "power_w": 1.0}
@@ -99,7 +99,7 @@ def wall_behind_a_block() -> Outcome:
 
 @case
 def sums_of_a_red_band() -> Outcome:
-    """Add up the pixels of a red matt plane under D65 in bands, whose wavelengths pixels must not share."""
+    """Add up the pixels of a red matt plane under D65 in bands; pixels must not share wavelengths."""
     seeds, low, high = 40, 0.75, 1.35
     red = {"wavelengths_nm": [380.0, 580.0, 620.0, 780.0], "values": [0.05, 0.05, 0.8, 0.8]}
     plane = _sheet((0.0, 0.0, -60.0), (20.0, 20.0), reflectance=red)
@@ -126,7 +126,7 @@ def caustic_of_a_ball() -> Outcome:
         glass = Refractor(file="ball.stl", units="mm", index=1.5)
         lens = surfaces_of(((20.0, 3.0, 1.5), (-20.0, 0.0, 1.0)), aperture=2.0)
         lamp: dict[str, Any] = {"kind": "point", "position_mm": (20.0, -15.0, -25.0), "power_w": 1.0}
-        # Each sample meets its light, and hardly any the caustic, which lies in the shadow of the ball.
+        # Each sample meets its light, but hardly any meets the caustic, which lies in the shadow of the ball.
         other = lamp | {"position_mm": (-20.0, 15.0, -25.0), "power_w": 0.1}
         scene = Scene(
             camera=Camera(

@@ -1,4 +1,4 @@
-"""Round targets met at their outlines, from nearby and from afar, and grazed."""
+"""Round targets met at their outlines, from nearby and from afar, and at grazing incidence."""
 
 from typing import Any
 
@@ -15,14 +15,14 @@ from lfmesh.transport.world import build
 RADIUS_MM = 5.0
 PLACE = np.array([3.0, -2.0, -300.0])
 BESIDE = 1e-8
-"""Share of an outline's angle by which rays pass to either side of it."""
+"""Fraction of an outline's angle by which rays pass to either side."""
 
 NEAREST_MM, FARTHEST_MM = 5.01, 1e5
-"""Distances from the centre of a ball at which its outline is looked at."""
+"""Distances of the rays' starts from the centre of a ball."""
 
 RAYS = 20_000
 ROUNDING = 1e-9
-"""Largest distance of a point from the surface that it lies on, mm."""
+"""Largest distance of a point from its surface, mm."""
 
 
 def _traced(shape: Sphere | Cylinder, starts: Array, ways: Array, **place: Any) -> Paths:
@@ -31,17 +31,17 @@ def _traced(shape: Sphere | Cylinder, starts: Array, ways: Array, **place: Any) 
 
 
 def _square(draw: np.random.Generator, ways: Array) -> Array:
-    """Return a random unit vector square to each direction."""
+    """Return a random unit vector perpendicular to each direction."""
     aside = np.cross(ways, draw.normal(size=ways.shape))
     return np.asarray(aside / np.linalg.norm(aside, axis=1, keepdims=True))
 
 
 @case
 def outline_of_a_ball() -> Outcome:
-    """Pass a ball by 1e-8 of the angle of its outline on either side, from a hundredth of a millimetre to 100 m."""
+    """Pass a ball by 1e-8 of the angle of its outline on either side, from 0.01 mm to 100 m away."""
     draw = np.random.default_rng(41)
     away = np.exp(draw.uniform(np.log(NEAREST_MM), np.log(FARTHEST_MM), RAYS))
-    # From beside the ball, so that no camera is in the way.
+    # Start beside the ball, so that the camera is not in the way.
     turn = draw.uniform(0.0, 2.0 * np.pi, RAYS)
     to_ball = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(RAYS)])
     inside = np.arange(RAYS) % 2 == 0
@@ -57,7 +57,7 @@ def outline_of_a_ball() -> Outcome:
 
 @case
 def grazed_cylinder() -> Outcome:
-    """Graze the wall of a cylinder by 1e-3 to 1e-12 of its radius."""
+    """Graze the wall of a cylinder at depths of 1e-3 to 1e-12 of its radius."""
     draw = np.random.default_rng(42)
     depth = 10.0 ** draw.uniform(-12.0, -3.0, RAYS)
     turn = draw.uniform(0.0, 2.0 * np.pi, RAYS)

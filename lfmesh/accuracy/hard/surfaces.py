@@ -1,4 +1,4 @@
-"""Rough, coated and polarising interfaces, and bands, at the ends of what they may be."""
+"""Rough, coated and polarising interfaces, and spectral bands, at their limits."""
 
 import tempfile
 from pathlib import Path
@@ -24,15 +24,15 @@ from lfmesh.transport.world import build
 DRAWN = 20_000
 INDICES = (1.01, 4.0)
 MOST_SIGMAS = 4.5
-"""Of twenty shares, one is as far off once in 7000 runs with other random numbers."""
+"""With twenty values, one is that far off once in 7000 runs."""
 
 GRAZING = 10.0 ** np.arange(-1.0, -10.5, -1.0)
-"""Cosines of angles of incidence, down to where rays run along the face."""
+"""Cosines of angles of incidence, down to grazing."""
 
 
 @kernel
 def _ground(alpha: float, n_i: float, n_t: float, z: NDArray, key: np.uint64, found: NDArray) -> None:  # type: ignore[type-arg]
-    """Write the directions, (n, 3), in which light leaves that arrives under cosines, (n,); NaN if on a wrong side."""
+    """Write the directions (n, 3) of light behind ground glass, by cosines of incidence (n,); NaN on a wrong side."""
     for i in range(len(found)):
         own = derived(key, i)
         across = np.sqrt(1.0 - z[i] * z[i])
@@ -43,7 +43,7 @@ def _ground(alpha: float, n_i: float, n_t: float, z: NDArray, key: np.uint64, fo
 
 @case
 def ground_at_its_ends() -> Outcome:
-    """Light ground glass of the smallest and largest roughness, index 1.01 and 4, from both sides, down to grazing."""
+    """Illuminate ground glass of extreme roughness, index 1.01 and 4, on both sides, down to grazing."""
     found, wrong, worst, seed = np.empty((DRAWN, 3)), 0, 0.0, 0
     even = np.sqrt((np.arange(DRAWN) + 0.5) / DRAWN)
     for index in INDICES:
@@ -53,10 +53,10 @@ def ground_at_its_ends() -> Outcome:
                 for z in (np.resize(GRAZING, DRAWN), even):
                     seed += 1
                     _ground(alpha, n_i, n_t, z, run_key(seed), found)
-                    # NaN is neither small nor large.
+                    # The negated comparison counts NaN as wrong.
                     wrong += int((~(np.abs((found**2).sum(axis=1) - 1.0) < 1e-12)).sum())
                 passed.append((found[:, 2] < 0.0).mean())
-            # As much of an even light passes either way: n² T of one side is that of the other.
+            # Uniform light passes equally in either direction: n² T is the same from both sides.
             into, out = passed[0], index * index * passed[1]
             sigma = np.sqrt((passed[0] * (1.0 - passed[0]) + index**4 * passed[1] * (1.0 - passed[1])) / DRAWN)
             worst = max(worst, abs(into - out) / max(sigma, 1.0 / DRAWN))
@@ -68,7 +68,7 @@ def ground_at_its_ends() -> Outcome:
 
 
 def _grazed(finish: object) -> Outcome:
-    """Trace rays that graze a plate of rough glass from outside, and see them all end with all their weight."""
+    """Trace rays that graze a plate of rough glass from outside, and check that they keep all weight."""
     ends, count = [], 20 * len(GRAZING)
     for index in INDICES:
         with tempfile.TemporaryDirectory(prefix="lfmesh-") as folder:
@@ -84,7 +84,7 @@ def _grazed(finish: object) -> Outcome:
         d = np.column_stack([across * np.cos(turn), across * np.sin(turn), -cosine])
         ends.append(trace(world, np.array([0.0, 0.0, -58.5]) - 5.0 * d, d, split="transmit", max_events=32_000))
     met = [int((paths.events > 0).sum()) for paths in ends]
-    # Only light that comes into the lens, beyond z = 0, is weakened there.
+    # Only light that enters the lens, beyond z = 0, loses weight there.
     whole = [int(((paths.weight == 1.0) | (paths.position[:, 2] > 0.0)).sum()) for paths in ends]
     unscathed = [int((paths.weight == 1.0).sum()) for paths in ends]
     at_depth = sum(paths.ledger.depth for paths in ends)
@@ -103,13 +103,13 @@ def diffuse_grazed() -> Outcome:
 
 @case
 def ground_grazed() -> Outcome:
-    """Graze a plate of ground glass of index 1.01 and 4 and the largest roughness, down to 1e-10 rad."""
+    """Graze a plate of the roughest ground glass of index 1.01 and 4, down to 1e-10 rad."""
     return _grazed({"kind": "ground", "roughness": 1.0})
 
 
 @case
 def coating_at_its_ends() -> Outcome:
-    """Meet stacks of 1000 layers, films that are absent, metal of 1 mm, at grazing and beside the critical angle."""
+    """Meet stacks of 1000 layers, films without effect and 1 mm of metal, at grazing and near the critical angle."""
     cosine = np.concatenate([[1.0], GRAZING])
     error = 0.0
     for n_i, n_t in ((1.0, 1.5), (1.5, 1.0), (4.0, 1.01)):
@@ -119,7 +119,7 @@ def coating_at_its_ends() -> Outcome:
         bare = np.array([fresnel(n_i, n_t, float(c))[:2] for c in angles]).T
         for film in (Stack((complex(n_i),), (1e6,)), Stack((complex(n_t),), (137.0,)), Stack((2.0 + 0j,), (1e-12,))):
             shares = np.array(coated(n_i, n_t, film, 550.0, angles))
-            # A film of one of the media, and one that is far thinner than an atom, are not there.
+            # A film of one of the media, or one far thinner than an atom, has no effect.
             error = max(error, float(np.abs(shares - bare)[:, np.abs(angles - critical) > 1e-8].max()))
         many = Stack((2.3 + 0j, 1.38 + 0j) * 500, (61.0, 99.0) * 500)
         error = max(error, float(np.abs(np.sum(coated(n_i, n_t, many, 550.0, angles), axis=0) - 1.0).max()))
@@ -133,7 +133,7 @@ def coating_at_its_ends() -> Outcome:
 
 @case
 def polarisation_at_its_ends() -> Outcome:
-    """Meet bare and coated faces with polarised light at grazing, beside Brewster's and the critical angle."""
+    """Meet bare and coated faces with polarised light at grazing, near Brewster's and the critical angle."""
     nothing, film = np.zeros((1, 1), np.complex128), np.array([[1.9 + 0j]])
     error, states = 0.0, 0
     for n_i, n_t in ((1.0, 1.01), (1.0, 4.0), (4.0, 1.0), (1.01, 1.0), (1.5, 1.5)):
@@ -148,7 +148,7 @@ def polarisation_at_its_ends() -> Outcome:
                 back, on = ways
                 states += 1
                 off = [back.s + on.s - 1.0, back.p + on.p - 1.0]
-                # Light that is polarised completely stays so: |ρ|² is the product of both shares.
+                # Completely polarised light stays so: |ρ|² is the product of both fractions.
                 off += [way.real**2 + way.imaginary**2 - way.s * way.p for way in ways]
                 off += [max(-share, share - 1.0, 0.0) for way in ways for share in (way.s, way.p)]
                 error = max(error, *(abs(value) if np.isfinite(value) else np.inf for value in off))
@@ -160,7 +160,7 @@ def polarisation_at_its_ends() -> Outcome:
 
 @case
 def bands_at_their_ends() -> Outcome:
-    """Draw wavelengths in bands of 1e-6 to 400 nm, and light them with black bodies of 3 to 1e6 K."""
+    """Draw wavelengths in bands of 1e-6 to 400 nm, and evaluate black bodies of 3 to 1e6 K."""
     worst, wrong, count = 0.0, 0, 0
     for width in (1e-6, 1e-3, 1.0, 400.0):
         scene = lens_scene(SINGLET).changed(
@@ -172,7 +172,7 @@ def bands_at_their_ends() -> Outcome:
         wrong += int(((w < first) | (w > last) | ~np.isfinite(lines.weight_nm) | (lines.weight_nm <= 0.0)).sum())
         wrong += int((np.diff(w) < 0.0).sum())
         centroid = scene.passbands[0].response.centroid_nm
-        # Pairs lie symmetrically in equal parts of the integral, so their mean is off by a small part of the width.
+        # Pairs are symmetric in equal parts of the integral, so their mean is off by a small part of the width.
         worst = max(worst, abs(float(w.mean()) - centroid) / width)
         for kelvin in (3.0, 1e6):
             radiance = planck_radiance(w, kelvin)

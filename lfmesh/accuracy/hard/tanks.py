@@ -1,4 +1,4 @@
-"""Bodies of glass that touch and nest, and that absorb: windows before water, glass unseen in it, black glass."""
+"""Glass bodies that touch, nest or absorb."""
 
 import tempfile
 from pathlib import Path
@@ -20,7 +20,7 @@ SIDES = 3000.0
 
 
 def _before_chart(*bodies: tuple[trimesh.Trimesh, float]) -> World:
-    """Build a camera that looks through bodies of glass, world frame and index, at an opaque plane behind them."""
+    """Build a camera that looks through glass bodies (mesh in the world frame, index) at an opaque plane."""
     with tempfile.TemporaryDirectory(prefix="lfmesh-") as folder:
         targets = []
         for number, (mesh, index) in enumerate(bodies):
@@ -37,7 +37,7 @@ def _slab(near: float, far: float) -> trimesh.Trimesh:
 
 
 def _away(count: int, steepest_deg: float, seed: int) -> tuple[Array, Array]:
-    """Return rays from a millimetre before the lens towards the chart, at all angles up to one."""
+    """Return rays from 1 mm in front of the lens towards the chart, at all angles up to a limit."""
     draw = np.random.default_rng(seed)
     angle, turn = np.deg2rad(steepest_deg) * draw.random(count), 2.0 * np.pi * draw.random(count)
     sine = np.sin(angle)
@@ -47,7 +47,7 @@ def _away(count: int, steepest_deg: float, seed: int) -> tuple[Array, Array]:
 
 
 def _at_chart(paths: Paths, truth: Array, weight: Array, tolerance: float) -> Outcome:
-    """Compare where rays end, all on the chart, with where they should."""
+    """Compare the end points of rays, all on the chart, with the truth."""
     hit = paths.status == Status.TARGET
     far = 1.0 + np.linalg.norm(truth, axis=1)
     error = (np.linalg.norm(paths.position - truth, axis=1) / far)[hit].max(initial=0.0)
@@ -67,7 +67,7 @@ def _mirrored(p: Array) -> Array:
 
 @case
 def water_behind_a_window() -> Outcome:
-    """Look through a window into water, and through its far wall, at angles up to 89 degrees."""
+    """Look through water between two windows, at angles up to 89 degrees."""
     edges, media = (20.0, 25.0, 65.0, 70.0), (GLASS, WATER, GLASS, 1.0)
     bodies = [(_slab(near, far), n) for near, far, n in zip(edges[:-1], edges[1:], media, strict=False)]
     o, d = _away(20_000, 89.0, 31)
@@ -78,7 +78,7 @@ def water_behind_a_window() -> Outcome:
 
 @case
 def glass_of_the_waters_index() -> Outcome:
-    """Look through water that holds a ball of its own index, which bends nothing and reflects nothing."""
+    """Look through water that contains a ball of its own index, which neither refracts nor reflects."""
     ball = trimesh.creation.icosphere(4, 12.0)
     ball.apply_translation([0.0, 0.0, -40.0])
     o, d = _away(20_000, 30.0, 32)
@@ -90,7 +90,7 @@ def glass_of_the_waters_index() -> Outcome:
 
 @case
 def film_of_air_in_water() -> Outcome:
-    """Start in water before a thin film of air, at all angles: beyond the critical angle nothing comes through."""
+    """Start in water in front of a thin film of air; beyond the critical angle nothing passes."""
     film = 0.125
     world = _before_chart((_slab(20.0, 60.0), WATER), (_slab(60.0 + film, 65.0), GLASS))
     o, d = _away(20_000, 89.0, 33)
@@ -99,7 +99,7 @@ def film_of_air_in_water() -> Outcome:
     walls = [Interface(np.inf, 60.0, 1.0), Interface(np.inf, 60.0 + film, GLASS), Interface(np.inf, 65.0, 1.0)]
     true = through(walls, _mirrored(o), _mirrored(d), WATER)
     truth = _mirrored(at_plane(true.p, true.d, -CHART_AT))
-    # What is turned back leaves the water at its sides, metres away; light near the critical angle lands there too.
+    # Reflected light leaves the water at its sides, metres away; light near the critical angle lands there too.
     with np.errstate(invalid="ignore"):
         through_film = np.linalg.norm(truth[:, :2], axis=1) < SIDES
     turned = np.isnan(truth).any(axis=1)
@@ -115,7 +115,7 @@ def film_of_air_in_water() -> Outcome:
 
 @case
 def glass_from_clear_to_black() -> Outcome:
-    """Look through plates that absorb next to nothing, and all of the light, at angles up to 89 degrees."""
+    """Look through plates that absorb almost none or all of the light, at angles up to 89 degrees."""
     thickness, o, d = 5.0, *_away(2_000, 89.0, 34)
     cosine = np.sqrt(1.0 - (1.0 - d[:, 2] ** 2) / GLASS**2)
     behind = through([Interface(np.inf, 20.0, GLASS), Interface(np.inf, 25.0, 1.0)], _mirrored(o), _mirrored(d))
@@ -127,7 +127,7 @@ def glass_from_clear_to_black() -> Outcome:
         got = np.bincount(traces[-1].source, traces[-1].weight, minlength=len(o))
         depth = np.minimum(alpha * thickness / cosine, 800.0)
         true = behind.weight * np.exp(-depth)
-        # A product's rounding is that of its exponent, and below the smallest normal number digits are lost.
+        # The rounding of the exponent carries over to the product; digits are lost below the smallest normal number.
         worst = max(worst, float((np.abs(got - true) / (1e-300 + true * (1.0 + depth))).max()))
     return outcome(
         traces, "T² exp(−α d / cos θ') at seven α from 0 to 1e15 per mm, within 1e-11",
@@ -138,7 +138,7 @@ def glass_from_clear_to_black() -> Outcome:
 
 @case
 def total_reflection_in_absorbing_glass() -> Outcome:
-    """Send light through a bar by total reflection at its sides: it decays with its length, not with its events."""
+    """Send light through a bar by total reflection: it decays with path length, not with events."""
     length, index, alpha, count = 200.0, 1.7, 0.01, 500
     bar = Refractor(box_mm=(2.0, 3.0, length), index=index, absorption_per_mm=alpha)
     target = Target(refractor=bar, position_mm=(0.0, 0.0, -300.0))

@@ -1,7 +1,7 @@
-"""Sequential tracing in plain NumPy: the truth that the hard cases are held against.
+"""Sequential tracing in plain NumPy: the truth for the hard cases.
 
-It shares no code with the engine: no mesh, no Embree, no kernels. Surfaces come in a known order, a conic is met by
-Welford's quadratic (Aberrations of Optical Systems, 1986, section 4.5), any other surface by marching and bisection.
+It shares no code with the engine: no mesh, no Embree, no kernels. Surfaces come in a known order. Rays meet a conic by
+Welford's quadratic (Aberrations of Optical Systems, 1986, section 4.5), and other surfaces by marching and bisection.
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ Array = NDArray[np.float64]
 BISECTIONS = 200
 
 MARCH = 1024
-"""Steps in which a ray is followed through an asphere's layer, so that of several crossings the first is found."""
+"""Marching steps through an asphere's layer, so that the first of several crossings is found."""
 
 LAYER = 129
-"""Radii, and a quarter as many azimuths, at which it is sampled how thick that layer is."""
+"""Radii, and a quarter as many azimuths, at which the thickness of that layer is sampled."""
 
 STEP = 1e-30
-"""Imaginary step, mm, whose effect over the step is a derivative without rounding."""
+"""Imaginary step, mm, for derivatives without rounding error."""
 
 BORDER = 1e-9
 """Width of a cell's border, over the pitch, on which either lenslet's answer is right."""
@@ -28,7 +28,7 @@ BORDER = 1e-9
 
 @dataclass(frozen=True)
 class Interface:
-    """A surface at `z` and the index behind it; `radius` may be inf. What is no conic ends at `reach`."""
+    """A surface at `z` and the index behind it; `radius` may be inf. Surfaces other than conics end at `reach`."""
 
     radius: float
     z: float
@@ -37,14 +37,14 @@ class Interface:
     asphere: tuple[float, ...] = ()
     reach: float = 10.0
     focal_length: float = np.inf
-    """Of a thin lens in the surface's place, mm."""
+    """Focal length of a thin lens in the surface's place, mm."""
     odd: tuple[float, ...] = ()
     across: tuple[str, float, float] | None = None
-    """"biconic" or "toroid", radius and conic constant in x; `radius` and `conic` are then those in y."""
+    """"biconic" or "toroid", radius and conic constant in x; `radius` and `conic` are then for y."""
 
     @property
     def is_conic(self) -> bool:
-        """True if the surface has a quadratic."""
+        """True if rays meet the surface by a quadratic equation."""
         return not self.asphere and not self.odd and self.across is None
 
     @property
@@ -53,7 +53,7 @@ class Interface:
         return 0.0 if np.isinf(self.radius) else 1.0 / self.radius
 
     def sag(self, r2: Array) -> Array:
-        """Return the height above the vertex at squared radius r2."""
+        """Return the height above the vertex at r²."""
         c = self.curvature
         with np.errstate(invalid="ignore"):
             z = c * r2 / (1.0 + np.sqrt(1.0 - (1.0 + self.conic) * c * c * r2))
@@ -76,7 +76,7 @@ class Interface:
             return np.asarray((c_x * x * x + c_y * y * y) / (1.0 + np.sqrt(inside)))
 
     def normal(self, p: Array) -> Array:
-        """Return (n, 3) unit normals, towards +z at the vertex, at points relative to the vertex."""
+        """Return unit normals (n, 3), towards +z at the vertex, at points relative to the vertex."""
         c, q = self.curvature, 1.0 + self.conic
         x, y, z = p.T
         r2 = x * x + y * y
@@ -93,11 +93,11 @@ class Interface:
         return n / np.linalg.norm(n, axis=1, keepdims=True)
 
     def meet(self, p: Array, d: Array) -> Array:
-        """Return (n, 3) the points, relative to the vertex, where rays meet the sheet of the vertex; NaN: nowhere."""
+        """Return the intersections (n, 3) of rays with the vertex's sheet, relative to the vertex; NaN if none."""
         at = p - [0.0, 0.0, self.z]
         if not self.is_conic:
             return np.asarray(at + self._first_crossing(at, d)[:, None] * d)
-        # To the vertex plane, so that the quadratic's terms stay small.
+        # Move to the vertex plane, so that the quadratic's terms stay small.
         at = at - (at[:, 2] / d[:, 2])[:, None] * d
         c, q = self.curvature, 1.0 + self.conic
         a = c * (d[:, 0] ** 2 + d[:, 1] ** 2 + q * d[:, 2] ** 2)
@@ -108,7 +108,7 @@ class Interface:
         return np.asarray(at + t[:, None] * d)
 
     def _first_crossing(self, p: Array, d: Array) -> Array:
-        """Return t where rays first pass from one side of the asphere to the other; NaN where they never do.
+        """Return t of the rays' first crossing of the asphere, in the direction of travel; NaN if there is none.
 
         Parameters
         ----------
@@ -121,14 +121,14 @@ class Interface:
         ahead = np.sign(d[:, 2])
 
         def before(t: Array) -> Array:
-            """Tell by the sign whether points have not passed yet; NaN: they lie outside the cylinder."""
+            """Return positive values for points that have not yet crossed; NaN outside the cylinder."""
             at = p[:, None] + t[..., None] * d[:, None]
             r2 = at[..., 0] ** 2 + at[..., 1] ** 2
             return np.where(
                 r2 <= self.reach**2, ahead[:, None] * (self.height(at[..., 0], at[..., 1]) - at[..., 2]), np.nan
             )
 
-        # The way through the slab, and within the cylinder.
+        # The path through the slab and inside the cylinder.
         entry, leaving = np.sort((slab - p[:, 2:]) / d[:, 2:], axis=1).T
         with np.errstate(invalid="ignore", divide="ignore"):
             sideways = d[:, 0] ** 2 + d[:, 1] ** 2
@@ -151,14 +151,14 @@ class Interface:
         return np.where(passes.any(axis=1), 0.5 * (near + far), np.nan)
 
     def crossings(self, origins: Array, directions: Array, length: float) -> tuple[NDArray[np.int64], Array]:
-        """Return how often rays cross the surface within its reach, and how deep they get between the first two.
+        """Return the number of times rays cross the surface within its reach, and their depth between the first two.
 
         Parameters
         ----------
         origins : (n, 3) float64, mm
         directions : (n, 3) float64
         length : float
-            How far rays are followed, in lengths of their directions.
+            Length of the rays, in units of their directions.
         """
         t = np.linspace(0.0, length, 2 * MARCH)
         at = origins[:, None] + t[:, None] * directions[:, None] - [0.0, 0.0, self.z]
@@ -173,22 +173,22 @@ class Interface:
 
 @dataclass(frozen=True)
 class Bundle:
-    """Rays at the end of a sequential trace: points and unit directions (n, 3), weights and greatest radius (n,)."""
+    """Rays at the end of a sequential trace: points and unit directions (n, 3), and weights (n,)."""
 
     p: Array
     d: Array
     weight: Array
     heights: Array
-    """(n, surfaces) distance from the axis at which each surface was met."""
+    """(n, surfaces) distance from the axis at each surface."""
 
 
 def transmittance(n_i: float, n_t: float, cos_i: Array, cos_t: Array) -> Array:
-    """Return the transmitted share of unpolarised light (Born and Wolf, 1.5.2).
+    """Return the transmitted fraction of unpolarised light (Born and Wolf, 1.5.2).
 
     Parameters
     ----------
     n_i, n_t : float
-        Refractive index before and behind the interface.
+        Refractive indices in front and behind.
     cos_i, cos_t : (n,) float64
         Cosines of incidence and refraction.
     """
@@ -198,14 +198,14 @@ def transmittance(n_i: float, n_t: float, cos_i: Array, cos_t: Array) -> Array:
 
 
 def refracted(d: Array, normal: Array, n_i: float, n_t: float) -> tuple[Array, Array]:
-    """Return the (n, 3) directions by Snell's law and the (n,) transmittances; NaN under total reflection.
+    """Return the directions (n, 3) by Snell's law and the transmittances (n,); NaN for total reflection.
 
     Parameters
     ----------
     d : (n, 3) float64, unit
     normal : (n, 3) float64, unit, of either sense
     n_i, n_t : float
-        Refractive index before and behind the interface.
+        Refractive indices in front and behind.
     """
     cos_i = np.einsum("ij,ij->i", d, normal)
     normal = normal * np.sign(cos_i)[:, None]
@@ -218,16 +218,16 @@ def refracted(d: Array, normal: Array, n_i: float, n_t: float) -> tuple[Array, A
 
 
 def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLike, first_index: float = 1.0) -> Bundle:
-    """Trace rays through surfaces in their order, refracting at each.
+    """Trace rays sequentially through surfaces, refracting at each.
 
     Parameters
     ----------
     interfaces : list of Interface
-        In the order in which rays meet them.
+        In the order of the rays.
     origins : (n, 3) float64, mm
     directions : (n, 3) float64
     first_index : float
-        Refractive index before the first one.
+        Refractive index in front of the first one.
     """
     p = np.asarray(origins, dtype=np.float64)
     d = np.asarray(directions, dtype=np.float64)
@@ -248,20 +248,13 @@ def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLi
 
 
 def _past_thin_lens(at: Array, d: Array, focal_length: float) -> Array:
-    """Aim rays at, or away from, the point of the focal plane that the parallel ray through the lens's middle meets."""
+    """Aim rays at, or away from, the focal point of the parallel ray through the lens's centre."""
     aimed = np.sign(focal_length) * (focal_length * d / d[:, 2:] - at)
     return np.asarray(aimed / np.linalg.norm(aimed, axis=1, keepdims=True))
 
 
 def at_plane(p: Array, d: Array, z: float) -> Array:
-    """Return (n, 3) where rays meet a plane z; NaN where they run away from it.
-
-    Parameters
-    ----------
-    p : (n, 3) float64, mm
-    d : (n, 3) float64
-    z : float, mm
-    """
+    """Return the intersections (n, 3) of rays with a plane z, mm; NaN if they travel away from it."""
     with np.errstate(divide="ignore"):
         t = (z - p[:, 2]) / d[:, 2]
     return np.asarray(p + np.where(t >= 0.0, t, np.nan)[:, None] * d)
@@ -282,10 +275,10 @@ class Plate:
     conic: float = 0.0
     asphere: tuple[float, ...] = ()
     back_radius: float = np.inf
-    """mm, positive where lenslets of the other face bulge out of the plate."""
+    """mm, positive for convex lenslets on the other face."""
 
     def centres(self, column: NDArray[np.int64], row: NDArray[np.int64]) -> Array:
-        """Return (..., 2) centres of cells."""
+        """Return the centres (..., 2) of cells."""
         x = column - 0.5 * (self.columns - 1)
         y = row - 0.5 * (self.rows - 1)
         if self.hexagonal:
@@ -303,17 +296,17 @@ class Plate:
         )
 
     def land(self, origins: Array, directions: Array, around: int = 3) -> tuple[Array, Array]:
-        """Return where rays that come from before the array may meet the sensor, and their weights there.
+        """Return the possible landing points on the sensor of rays from in front of the array, and their weights.
 
-        Every lenslet near the crossing is tried by itself: its face is met inside its own Voronoi cell, and of
-        several the first counts. On a border, to rounding, there are two or three right answers.
+        Each lenslet near the crossing is tried separately: its face counts inside its own Voronoi cell, and the first
+        of several faces counts. On a border, to rounding, two or three answers are right.
 
         Parameters
         ----------
         origins : (n, 3) float64, mm
         directions : (n, 3) float64
         around : int
-            Cells to each side of the nearest one in which lenslets are tried.
+            Cells to try on each side of the nearest one.
 
         Returns
         -------
@@ -352,7 +345,7 @@ class Plate:
         return np.array(landings), np.array(weights)
 
     def _at_other_face(self, p: Array, d: Array) -> tuple[Array, Array]:
-        """Return where rays in the glass meet the other face, and its normals; NaN where no lenslet near is met."""
+        """Return the intersections of rays in the glass with the other face, and its normals; NaN if they miss."""
         flat = at_plane(p, d, self.thickness)
         if not np.isfinite(self.back_radius):
             return flat, np.broadcast_to([0.0, 0.0, 1.0], d.shape)
@@ -370,7 +363,7 @@ class Plate:
         return at, normals
 
     def _depth_in_cell(self, p: Array) -> Array:
-        """Return how far points lie inside the cell at the origin, over the pitch; negative outside."""
+        """Return the depth of points inside the cell at the origin, over the pitch; negative outside."""
         turn = np.deg2rad([0.0, 60.0, 120.0]) if self.hexagonal else np.deg2rad([0.0, 90.0])
         across = np.abs(p @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=1)
         return np.asarray(0.5 - across / self.pitch)

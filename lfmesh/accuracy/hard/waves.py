@@ -1,4 +1,4 @@
-"""Waves at their ends: lenses as small as their Fresnel zones, and paths of metres to a fraction of a wave."""
+"""Limits of wave optics: lenses as small as their Fresnel zones, and paths exact to a fraction of a wave."""
 
 import math
 
@@ -17,10 +17,10 @@ NM = 550.0
 FOCAL_MM, FAR_MM, PIXEL_MM = 2.5, 1e5, 0.0005
 
 ALLOWED_LIGHT = 0.003
-"""Share by which light on the axis may differ from the closed form: the tolerance of a point spread."""
+"""Relative difference of the light on the axis from the closed form: the tolerance of a point spread."""
 
 ALLOWED_WAVES = 1e-7
-"""Of a lens without aberrations: rounding of paths of forty million waves."""
+"""Path difference of a lens without aberrations: rounding of paths of forty million waves."""
 
 
 def _outcome(expected: str, got: str, passed: bool) -> Outcome:
@@ -29,7 +29,7 @@ def _outcome(expected: str, got: str, passed: bool) -> Outcome:
 
 @case
 def lens_of_fresnel_number_one() -> Outcome:
-    """Focus light by a lens of one Fresnel zone, which is brightest far before its focus."""
+    """Focus light with a lens of one Fresnel zone, which is brightest far in front of its focus."""
     semi = math.sqrt(NM * 1e-6 * FOCAL_MM)
     focal = 1.0 / (1.0 / FOCAL_MM + 1.0 / FAR_MM)
     lens = Surface(paraxial=True, focal_length_mm=focal, semi_diameter_mm=semi, stop=True)
@@ -41,7 +41,7 @@ def lens_of_fresnel_number_one() -> Outcome:
             camera=Camera(lens=Lens(surfaces=(lens,)), sensor=sensor), transport=Transport(wavelengths_nm=(NM,))
         )
         light.append(point_spread(scene, (0.0, 0.0, -FAR_MM)).mean[4, 4])
-    # Of a round aperture with N zones (Y. Li, E. Wolf, Optics Communications 39, 1981, 211).
+    # For a round aperture with N zones (Y. Li, E. Wolf, Optics Communications 39, 1981, 211).
     truth = (np.sinc(0.5 * (1.0 / places - 1.0)) / places) ** 2
     return _outcome(
         f"{truth[0]:.4f} of the focal point's light at 0.6 of its distance", f"{light[0] / light[1]:.4f}",
@@ -51,7 +51,7 @@ def lens_of_fresnel_number_one() -> Outcome:
 
 @case
 def hyperboloid_of_f_0_6_before_a_plane_wave() -> Outcome:
-    """Hold the paths through a perfect lens of f/0.6 and 12 m to a fraction of a wave."""
+    """Compare the paths through a perfect lens of f/0.6 and 12 m to a fraction of a wave."""
     focal, index, across = 12_000.0, 1.5, 10_000.0
     faces = (
         Surface(thickness_mm=8_000.0, index=index, semi_diameter_mm=across, stop=True),

@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 SHARPNESS_RADIUS = 2
 """Half width, in samples, of the windows in which sharpness is compared."""
 
+LEAST_COVERAGE = 0.5
+"""Coverage, over the largest of a stack, below which sharpness is not compared: few views show every plane sharp."""
+
 LEAST_SHARE = 0.5 / (2 * SHARPNESS_RADIUS + 1) ** 2
 """Fraction of a window equal to half a sample; less means none."""
 
@@ -39,6 +42,8 @@ class Photograph(Pictured):
         As for the light field.
     method : str
         Method of computation.
+    coverage : (t, s) float64, optional
+        Fraction of the aperture's views with data at each sample; without it, 1 at known samples.
     """
 
     mean: Array
@@ -49,6 +54,13 @@ class Photograph(Pictured):
     wavelengths_nm: tuple[float, ...]
     unit: str
     method: str = "shift"
+    coverage: Array | None = None
+
+    @property
+    def covered(self) -> Array:
+        """(t, s): `coverage`, or 1 at known samples and 0 at others."""
+        known = np.isfinite(self.mean).all(axis=2)
+        return known.astype(np.float64) if self.coverage is None else np.where(known, self.coverage, 0.0)
 
     def __repr__(self) -> str:
         return (
@@ -90,7 +102,7 @@ class AllInFocus(Pictured):
     ----------
     mean, stderr : (t, s, c) float64
     distance_mm : (t, s) float64
-        Plane of each sample.
+        Plane of each sample; NaN where sharpness cannot be compared.
     wavelengths_nm : tuple of float
     unit : str
     """
@@ -102,10 +114,9 @@ class AllInFocus(Pictured):
     unit: str
 
     def __repr__(self) -> str:
-        planes = self.distance_mm
-        return (
-            f"<AllInFocus: {_samples(self.mean)}, planes from {planes.min():.6g} to {planes.max():.6g} mm, {self.unit}>"
-        )
+        planes = self.distance_mm[~np.isnan(self.distance_mm)]
+        reach = f"from {planes.min():.6g} to {planes.max():.6g} mm" if len(planes) else "unknown"
+        return f"<AllInFocus: {_samples(self.mean)}, planes {reach}, {self.unit}>"
 
 
 def _samples(mean: Array) -> str:
@@ -116,8 +127,9 @@ def _samples(mean: Array) -> str:
 def all_in_focus(stack: FocalStack) -> AllInFocus:
     """Take every sample from the photograph of a stack that is sharpest there.
 
-    Sharpness is the mean energy of the Laplacian in a window of 5 × 5 samples, summed over the channels. Samples next
-    to unknown ones have none; unknown ones are taken only if no photograph knows them.
+    Sharpness is the mean energy of the Laplacian in a window of 5 × 5 samples, summed over the channels. It is compared
+    where at least half of the views have data in every photograph. Other samples are taken from the plane of the
+    nearest compared one, or where that is unknown from the photograph with the most views; their distance is NaN.
 
     Parameters
     ----------
@@ -128,9 +140,16 @@ def all_in_focus(stack: FocalStack) -> AllInFocus:
     -------
     AllInFocus
     """
-    sharpness = np.stack([_sharpness(photograph.mean) for photograph in stack.photographs])
-    best = sharpness.argmax(axis=0)
     first = stack.photographs[0]
+    covered = np.stack([photograph.covered for photograph in stack.photographs])
+    known = (covered > 0.0) & (covered >= LEAST_COVERAGE * covered.max())
+    energy, compared = _sharpness([photograph.mean for photograph in stack.photographs], known.all(axis=0))
+    best = energy.argmax(axis=0)
+    if compared.any():
+        _, nearest = ndimage.distance_transform_edt(~compared, return_indices=True)
+        best = best[tuple(nearest)]
+    unknown = np.take_along_axis(covered, best[None], axis=0)[0] == 0.0
+    best = np.where(unknown, covered.argmax(axis=0), best)
 
     def sharpest(values: list[Array]) -> Array:
         return np.take_along_axis(np.stack(values), best[None, :, :, None], axis=0)[0]
@@ -138,20 +157,29 @@ def all_in_focus(stack: FocalStack) -> AllInFocus:
     return AllInFocus(
         mean=sharpest([photograph.mean for photograph in stack.photographs]),
         stderr=sharpest([photograph.stderr for photograph in stack.photographs]),
-        distance_mm=np.asarray(stack.distances_mm)[best],
+        distance_mm=np.where(compared, np.asarray(stack.distances_mm)[best], np.nan),
         wavelengths_nm=first.wavelengths_nm,
         unit=first.unit,
     )
 
 
-def _sharpness(picture: Array) -> Array:
-    """Return the energy of the Laplacian around every sample, (t, s); −1 if the sample is unknown."""
-    known = np.asarray(np.isfinite(picture).all(axis=2))
-    filled = np.where(known[..., None], picture, 0.0)
-    energy = sum(ndimage.laplace(filled[..., c], mode="nearest") ** 2 for c in range(picture.shape[2]))
+def _sharpness(pictures: list[Array], known: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the energy of the Laplacian around every sample (planes, t, s), and where it can be compared (t, s).
+
+    Parameters
+    ----------
+    pictures : list of (t, s, c) float64
+    known : (t, s) bool
+        Samples that count, the same in all pictures.
+    """
     # The border of the known samples is not an edge.
     whole = ndimage.binary_erosion(known, border_value=1)
     window = partial(ndimage.uniform_filter, size=2 * SHARPNESS_RADIUS + 1, mode="nearest")
-    total, count = window(np.where(whole, energy, 0.0)), window(whole.astype(np.float64))
-    sharp = np.divide(total, count, out=np.zeros_like(total), where=count > LEAST_SHARE)
-    return np.where(known, sharp, -1.0)
+    count = window(whole.astype(np.float64))
+    energies = []
+    for picture in pictures:
+        filled = np.where(known[..., None], picture, 0.0)
+        energy = sum(ndimage.laplace(filled[..., c], mode="nearest") ** 2 for c in range(picture.shape[2]))
+        total = window(np.where(whole, energy, 0.0))
+        energies.append(np.divide(total, count, out=np.zeros_like(total), where=count > LEAST_SHARE))
+    return np.stack(energies), known & (count > LEAST_SHARE)

@@ -118,7 +118,7 @@ def _photographs(
         warnings.warn(note, stacklevel=3)
     photographs = []
     for distance, shift in zip(distances_mm, shifts, strict=True):
-        mean, stderr = _shifted_sum(field, shift, shares, sharp=method == "fourier")
+        mean, stderr, coverage = _shifted_sum(field, shift, shares, sharp=method == "fourier")
         if spectra is not None:
             known = np.isfinite(mean)
             mean = np.where(known, spectra.slice(shift, shares), np.nan)
@@ -126,7 +126,7 @@ def _photographs(
         photographs.append(
             Photograph(
                 mean, stderr, float(distance), f_number or field.model.f_number, sample,
-                field.wavelengths_nm, field.unit, method,
+                field.wavelengths_nm, field.unit, method, coverage,
             )
         )  # fmt: skip
     return tuple(photographs)
@@ -149,21 +149,21 @@ def _aperture(field: LightField, f_number: float | None) -> Array:
     return np.clip((0.5 / f_number - off_axis) / step + 0.5, 0.0, 1.0)
 
 
-def _shifted_sum(field: LightField, shift_mm: float, shares: Array, *, sharp: bool) -> tuple[Array, Array]:
-    """Return mean and standard error of the views by shift-and-add."""
+def _shifted_sum(field: LightField, shift_mm: float, shares: Array, *, sharp: bool) -> tuple[Array, Array, Array]:
+    """Return mean, standard error and coverage of the views by shift-and-add."""
     shape = field.data.shape[2:]
-    mean, stderr = np.empty(shape), np.empty(shape)
+    mean, stderr, coverage = np.empty(shape), np.empty(shape), np.empty(shape[:2])
     along_t, along_s = (shift_mm / spacing for spacing in field.spacing_mm)
     _shift_and_add(
-        field.data, field.stderr, field.sharing, shares, along_t, along_s, sharp, mean, stderr
+        field.data, field.stderr, field.sharing, shares, along_t, along_s, sharp, mean, stderr, coverage
     )  # fmt: skip
-    return mean, stderr
+    return mean, stderr, coverage
 
 
 @kernel
 def _shift_and_add(
     data: Samples, spread: Samples, sharing: Samples, shares: Array, along_t: float, along_s: float, sharp: bool,
-    mean: Array, stderr: Array,
+    mean: Array, stderr: Array, coverage: Array,
 ) -> None:  # fmt: skip
     """Average the views, each shifted by given samples per view; unknown samples are ignored.
 
@@ -173,8 +173,10 @@ def _shift_and_add(
         Give the standard error of an interpolation that does not average neighbouring samples.
     """
     rows, columns, height, width, channels = data.shape
+    views = shares.sum()
     for t in range(height):
         for s in range(width):
+            coverage[t, s] = 1.0
             for c in range(channels):
                 total, value, square = 0.0, 0.0, 0.0
                 for v in range(rows):
@@ -201,5 +203,6 @@ def _shift_and_add(
                                 power = share * weight if sharp else weight * weight
                                 error = float(spread[v, u, row + j, column + i, c])
                                 square += power * sharing[row + j, column + i] * error * error
+                coverage[t, s] = min(coverage[t, s], total / views)
                 mean[t, s, c] = value / total if total > 0.0 else np.nan
                 stderr[t, s, c] = np.sqrt(square) / total if total > 0.0 else np.nan

@@ -56,6 +56,14 @@ def test_a_photograph_of_a_plane_is_what_the_middle_view_sees(scene: Scene, dist
     assert np.abs(elsewhere - expected)[MIDDLE].max() > 0.15
 
 
+def test_coverage_is_the_fraction_of_views_that_know_a_sample(scene: Scene) -> None:
+    field = plane_field(scene, 420.0)
+    known = np.random.default_rng(3).random(field.data.shape) < 0.7
+    gaps = replace(field, data=np.where(known, field.data, np.nan).astype(np.float32))
+    photograph = lf.refocus(gaps, field.model.distance_mm(0.0))
+    np.testing.assert_allclose(photograph.coverage, known[..., 0].mean(axis=(0, 1)), atol=1e-6)
+
+
 def test_both_methods_agree_on_what_is_known(scene: Scene) -> None:
     field = plane_field(scene, 420.0)
     dark = field.data.copy()

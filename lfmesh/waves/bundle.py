@@ -219,17 +219,14 @@ class LensRays:
         Raises
         ------
         LfmeshError
-            Ray aiming found neither a ray nor an edge, or a caustic ends rays and others that crossed before the stop
-            pass.
+            Ray aiming found neither a ray nor an edge, or rays that pass cross before the stop.
         """
         pupil = np.asarray(pupil, dtype=np.float64).reshape(-1, 2)
         aim = pupil * (self.stop_radius * INSIDE)
         field = _field(slope)
         slope = np.broadcast_to(field, aim.shape)
         entry, ends = self._sent(field, aim, wavelength_nm)
-        if (ends.edge == Edge.CAUSTIC).any():
-            # Rays that have crossed may reach the points missed by the others.
-            self.refuse_crossing(field, wavelength_nm)
+        self._refuse_crossing(field, wavelength_nm)
         known = np.isfinite(entry).all(axis=1)
         place, direction, weight = np.full((len(aim), 2), np.nan), np.full((len(aim), 3), np.nan), np.zeros(len(aim))
         if known.any():
@@ -278,21 +275,15 @@ class LensRays:
         p, d = arrived.position, arrived.direction
         return np.asarray(p[:, :2] + ((self.image_z_mm - p[:, 2]) / d[:, 2])[:, None] * d[:, :2])
 
-    def refuse_crossing(self, slope: ArrayLike, wavelength_nm: float) -> None:
-        """Refuse a field if rays cross before the stop, as some of its points then have several rays.
+    def _refuse_crossing(self, field: Array, wavelength_nm: float) -> None:
+        """Refuse a field (2,) if rays that pass cross before the stop: some of its points then have several rays.
 
-        Parameters
-        ----------
-        slope : float, or (2,) float64
-            As for `bundle`.
-        wavelength_nm : float
-
-        Raises
-        ------
-        LfmeshError
-            Some trial rays that pass the lens map to the stop with reversed orientation.
+        Trial rays that map to the stop with reversed orientation show it. On their grid, crossed rays in less than a
+        hundredth of the pupil can be missed.
         """
-        field = _field(slope)
+        key = (float(field[0]), float(field[1]), wavelength_nm)
+        if key in self._single_rays:
+            return
         entry = self.aim.trials()
         passes = self._followed(np.broadcast_to(field, entry.shape), entry, wavelength_nm).weight > 0.0
         share = self.aim.turned_share(field, entry[passes], wavelength_nm)
@@ -301,6 +292,12 @@ class LensRays:
                 f"rays of this field cross before the stop, {percent(share)} of those that pass the lens, so that "
                 "several go through one point of the stop; move the stop or make a clear aperture smaller"
             )
+        self._single_rays.add(key)
+
+    @cached_property
+    def _single_rays(self) -> set[tuple[float, float, float]]:
+        """Slopes and wavelengths of fields known to have one ray through each point of the stop."""
+        return set()
 
     def traced(self, slope: ArrayLike, entry: Array, wavelength_nm: float) -> Traced:
         """Trace rays face by face with their optical paths, apertures ignored.

@@ -216,7 +216,6 @@ def waves_of_field(
         Meshes, ideal lenses beside real ones, too few rays, rays that cross before the stop, or light that is
         collimated or too aberrated behind the lens.
     """
-    rays.refuse_crossing(slope, wavelength_nm)
     bundle = rays.bundle(slope, pupil_grid(ACROSS, rim=True), wavelength_nm)
     passes = bundle.passes
     if not passes.any():

@@ -200,7 +200,6 @@ def wavefront_of(rays: LensRays, slope: float, wavelength_nm: float, across: int
     LfmeshError
         No chief ray, no other ray, rays that cross before the stop, or rays that miss the reference sphere.
     """
-    rays.refuse_crossing(slope, wavelength_nm)
     pupil = np.vstack([np.zeros(2), pupil_grid(across)])
     bundle, chief = rays.bundle(slope, pupil, wavelength_nm), rays.chief(slope, wavelength_nm)
     passes = bundle.passes

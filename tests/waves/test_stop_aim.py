@@ -134,6 +134,19 @@ def test_waves_are_refused_where_rays_cross_before_the_stop(behind_mm: float, cr
         assert lf.wavefront(scene, object_mm=math.inf, image_z_mm=107.0).passed == 1.0
 
 
+@pytest.mark.parametrize("height_mm", [0.7, 1e-6])
+def test_spots_are_refused_where_light_comes_back_into_the_stop(height_mm: float) -> None:
+    """A steep plano-convex lens: the rays of its rim cross the axis and come back into a small stop behind the focus.
+
+    No point of the stop is without a ray then; half of the light is that of the rim.
+    """
+    front = {"radius_mm": 10.0, "thickness_mm": 6.0, "index": 1.8, "semi_diameter_mm": 8.5}
+    stop = {"stop": True, "semi_diameter_mm": 1.2}
+    scene = scene_of([front, {"thickness_mm": 5.0, "semi_diameter_mm": 9.0}, stop])
+    with pytest.raises(lf.LfmeshError, match="rays of this field cross before the stop"):
+        lf.analyse(scene, object_mm=math.inf, height_mm=height_mm)
+
+
 @pytest.mark.long
 def test_a_thousand_random_pupils_are_those_of_brute_force() -> None:
     results = [compared(seed) for seed in range(1000)]

@@ -104,6 +104,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     emitters.ball_cut_by_the_horizon,
     round_targets.outline_of_a_ball,
     round_targets.grazed_cylinder,
+    round_targets.grazed_ball_of_glass,
     media.depths_of_absorption,
     media.depths_of_scattering,
     media.sharp_phase_functions,

@@ -28,8 +28,9 @@ from lfmesh.scene.materials.finishes import Finish
 from lfmesh.scene.materials.matter import Matter
 from lfmesh.scene.media.media import Grid, Medium
 from lfmesh.scene.objects.refractor import MeshFace, MeshShape, Refractor
+from lfmesh.scene.objects.shapes import Box, Cylinder, Disk, Plane, Shape, Sphere
 from lfmesh.scene.objects.tank import Liquid, Tank, Wall
-from lfmesh.scene.objects.targets import Box, Cylinder, Disk, Gloss, Material, Plane, Shape, Sphere, Target
+from lfmesh.scene.objects.targets import Gloss, Material, Target
 from lfmesh.scene.pose import Pose
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.settings.transport import Tessellation, Transport

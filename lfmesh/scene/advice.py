@@ -15,7 +15,8 @@ from lfmesh.scene.first_order.solve import focus_wished_mm
 from lfmesh.scene.light.particles import shining_particles
 from lfmesh.scene.literals import percent
 from lfmesh.scene.model import format_path
-from lfmesh.scene.objects.targets import Box, Cylinder, Disk, Plane, Sphere, Target
+from lfmesh.scene.objects.shapes import Box, Cylinder, Disk, Plane, Sphere
+from lfmesh.scene.objects.targets import Target
 from lfmesh.scene.scene import Scene
 
 if TYPE_CHECKING:

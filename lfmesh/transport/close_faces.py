@@ -130,6 +130,8 @@ def refuse_close_faces(scene: Scene, targets: list[TargetMesh], bodies: list[int
     SceneError
         Naming the targets and the place.
     """
+    if not any(_is_curved(scene.targets[i]) for i in bodies):
+        return
     faces = [_Face(i, each.mesh, _is_curved(scene.targets[i])) for i, each in enumerate(targets)]
     near = touching_mm([targets[i].mesh for i in bodies])
     for i in bodies:

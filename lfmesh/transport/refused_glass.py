@@ -6,22 +6,25 @@ bodies overlap, it must be defined which of them counts: the one of higher prior
 lies inside the other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.meshes.crossings import parts_in_shells, set_back
-from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, crossings, facet_normals, joined
+from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, facet_normals, joined
 from lfmesh.geometry.meshes.winding import shells, winding
+from lfmesh.geometry.objects.round_body import RoundBody
+from lfmesh.geometry.objects.round_pairs import Pair, common_place, pair_of
 from lfmesh.geometry.objects.targets import TargetMesh, named_target
-from lfmesh.scene import Light, Scene
-from lfmesh.scene.light.region import Region
+from lfmesh.scene import Scene, Sphere
 from lfmesh.scene.literals import plain
 from lfmesh.transport.close_faces import refuse_close_faces
 from lfmesh.transport.events.bodies import MOST_AT_ONCE, MOST_BODIES
 from lfmesh.transport.events.facets import FLOAT32_GRAIN
+from lfmesh.transport.refused_lamps import refuse_camera_and_lamps_inside
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.contacts import CUT, common_area, touching_mm, widest_contact_mm
 
@@ -68,22 +71,17 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     priority = {i: _priority(scene, i) for i in bodies}
     names = {i: named_target(scene, i) for i in bodies}
     meshes = {i: targets[i].mesh for i in bodies}
-    _refuse_cuts(meshes, names, priority)
+    rounds = {i: body for i in bodies if (body := targets[i].round) is not None}
+    _refuse_cuts(meshes, names, priority, rounds)
     parts = {i: [meshes[i].vertices[meshes[i].faces[facets]] for facets in shells(meshes[i])] for i in bodies}
-    _refuse_wrong_shells(parts, names)
+    _refuse_wrong_shells({i: own for i, own in parts.items() if i not in rounds}, names)
     refuse_close_faces(scene, targets, bodies)
-    holders = _holders(parts, names, priority)
+    holders = _holders(parts, names, priority, rounds)
     # A body inside another of its priority is also inside all bodies that enclose that one, and so inside more.
     order = sorted(bodies, key=lambda i: (priority[i], len(holders[i])))
-    parts = {i: parts[i] for i in reversed(order)}
     _refuse_crowds(parts, names, touching_mm(list(meshes.values())))
     _refuse_covered_faces(scene, targets, bodies)
-    _refuse_camera_inside(parts, names, front)
-    boxes = {i: _box(own) for i, own in parts.items()}
-    for number, light in enumerate(scene.lights):
-        near = {i: parts[i] for i, box in boxes.items() if _reaches(box, light.region)}
-        if near:
-            _refuse_lamp_inside(near, names, number, light)
+    refuse_camera_and_lamps_inside(scene, {i: targets[i] for i in reversed(order)}, front)
     ranks[order] = np.arange(1, len(bodies) + 1)
     return ranks
 
@@ -93,30 +91,52 @@ def _priority(scene: Scene, number: int) -> int:
     return 0 if refractor is None else refractor.priority
 
 
-def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], priority: dict[int, int]) -> None:
+def _refuse_cuts(
+    meshes: dict[int, Mesh], names: dict[int, str], priority: dict[int, int], rounds: dict[int, RoundBody]
+) -> None:
     """Refuse surfaces that cut themselves or another surface of the same priority."""
+    for i, j in combinations(rounds, 2):
+        if priority[i] == priority[j] and _pair(rounds[i], rounds[j]) is Pair.CUT:
+            place = 0.5 * (rounds[i].place[:, 3] + rounds[j].place[:, 3])
+            raise _cut(names, priority, (i, j, tuple(place.tolist())))
+    if len(rounds) == len(meshes):
+        return
     mesh = joined(meshes.values())
     owner = np.repeat(list(meshes), [len(m.faces) for m in meshes.values()])
     sizes = {i: float(np.ptp(m.vertices, axis=0).max()) for i, m in meshes.items()}
     size = np.array([sizes[i] for i in owner])
-    found = cut(mesh, owner, size, priority)
-    if found is None:
-        return
+    found = cut(mesh, owner, size, priority, rounds)
+    if found is not None:
+        raise _cut(names, priority, found)
+
+
+def _pair(one: RoundBody, other: RoundBody) -> Pair:
+    """Return how two round bodies of glass stand to each other, by the depth up to which they touch."""
+    boxes = one.box_mm(), other.box_mm()
+    near = CUT * min(float(np.ptp(box, axis=0).max()) for box in boxes)
+    meet = (boxes[0][0] <= boxes[1][1]).all() and (boxes[0][1] >= boxes[1][0]).all()
+    return pair_of(one, other, near) if meet else Pair.APART
+
+
+def _cut(
+    names: dict[int, str], priority: dict[int, int], found: tuple[int, int, tuple[float, float, float]]
+) -> SceneError:
+    """Return the error of a body that cuts itself or another of the same priority: both, and the place."""
     one, other, (x, y, z) = found
     where = f"near ({x:.4g}, {y:.4g}, {z:.4g}) mm"
     if one == other:
-        raise SceneError(
+        return SceneError(
             f"{names[one]}: its surface cuts itself {where}; the surface of a glass body must not: join its parts into "
             "one body (a Boolean union) and export it again"
         )
-    raise SceneError(
+    return SceneError(
         f"{names[one]} and {names[other]}: these glass bodies cut each other {where}, and both have priority = "
         f"{priority[one]}; give the one that is to fill what they share the higher one, or move one"
     )
 
 
 def cut(
-    mesh: Mesh, owner: Index, size: Array, priority: dict[int, int] | None = None
+    mesh: Mesh, owner: Index, size: Array, priority: dict[int, int] | None = None, rounds: Container[int] = ()
 ) -> tuple[int, int, tuple[float, float, float]] | None:
     """Return two owners of facets that cut each other, and the place; None if there are none.
 
@@ -133,6 +153,8 @@ def cut(
         Size of the owner of each facet.
     priority : dict of int, optional
         Priority of owners; two of different priority may cut each other.
+    rounds : container of int, optional
+        Owners whose facets stand for round bodies, of which no two are compared.
     """
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     vertices = mesh.vertices - middle
@@ -147,6 +169,7 @@ def cut(
     finder = Finder(Mesh(vertices, mesh.faces))
     going, reach = np.arange(len(edges)), np.full(len(edges), grain)
     of_facet = np.array([(priority or {}).get(int(i), 0) for i in owner])
+    is_round = np.array([int(i) in rounds for i in owner])
     for turn in range(MOST_ROUNDS):
         if not len(going):
             break
@@ -162,7 +185,7 @@ def cut(
         passes = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > deep)
         passes &= ~(mesh.faces[facet][:, :, None] == edges[going][:, None, :]).any(axis=(1, 2))
         own = facet_of_edge[going]
-        passes &= of_facet[facet] == of_facet[own]
+        passes &= (of_facet[facet] == of_facet[own]) & ~(is_round[facet] & is_round[own])
         for p, q in ((a, b), (b, c), (c, a)):
             # Inside the facet by as much, so that contact along an edge does not count.
             inward = np.cross(normals[facet], q - p)
@@ -267,13 +290,18 @@ def _boxes_overlap(one: tuple[Array, Array], other: tuple[Array, Array]) -> bool
     return bool(((one[0] <= other[1]) & (one[1] >= other[0])).all())
 
 
-def _holders(parts: Shells, names: dict[int, str], priority: dict[int, int]) -> dict[int, set[int]]:
+def _holders(
+    parts: Shells, names: dict[int, str], priority: dict[int, int], rounds: dict[int, RoundBody]
+) -> dict[int, set[int]]:
     """Return the bodies of the same priority that enclose each body; refuse bodies that overlap otherwise."""
     holders: dict[int, set[int]] = {i: set() for i in parts}
     for i in parts:
         for j in parts:
             if i < j and priority[i] == priority[j]:
-                first, second = _share_inside(parts[i], parts[j]), _share_inside(parts[j], parts[i])
+                if i in rounds and j in rounds:
+                    first, second = SHARES[_pair(rounds[i], rounds[j])]
+                else:
+                    first, second = _share_inside(parts[i], parts[j]), _share_inside(parts[j], parts[i])
                 if first == second == NOTHING:
                     continue
                 if (first == WHOLE) == (second == WHOLE):
@@ -312,29 +340,44 @@ def _refuse_crowds(parts: Shells, names: dict[int, str], near: float) -> None:
 def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[int]) -> None:
     """Refuse a target that lies on a face of glass so closely that rays cannot tell which comes first.
 
-    A ray that leaves the glass looks for what is next from a little behind the face, and would miss the target.
+    A ray that leaves the glass looks for what is next from a little behind the face, and would miss the target. Of two
+    bodies of glass, only round ones are refused: facets of others that lie on each other are crossed as one.
     """
-    corners = np.concatenate([target.mesh.vertices for target in targets])
-    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    boxes = np.array([target.box_mm for target in targets])
+    middle = 0.5 * (boxes[:, 0].min(axis=0) + boxes[:, 1].max(axis=0))
+    slack = CUT * (boxes[:, 1] - boxes[:, 0]).max(axis=1)
     for i in bodies:
         for j in range(len(targets)):
-            if j in bodies:
+            one, other = targets[i].round, targets[j].round
+            if j in bodies and (i >= j or (one is None and other is None)):
+                continue
+            # Meshes of round shapes take time to make.
+            gap = np.maximum(boxes[i, 0] - boxes[j, 1], boxes[j, 0] - boxes[i, 1])
+            if gap.max() > slack[i] + slack[j]:
                 continue
             near = _too_close_mm(*(Mesh(targets[k].mesh.vertices - middle, targets[k].mesh.faces) for k in (i, j)))
-            place = common_area(targets[i].mesh, targets[j].mesh, near)
+            place, has_facets = None, True
+            if one is not None and other is not None:
+                place = common_place(one, other, near)
+                # Flat ends are compared by their facets; a ball has none.
+                has_facets = not (isinstance(one.shape, Sphere) or isinstance(other.shape, Sphere))
+            if place is None and has_facets:
+                place = common_area(targets[i].mesh, targets[j].mesh, near)
             if place is not None:
                 x, y, z = place
                 raise SceneError(
                     f"{named_target(scene, j)} lies on the glass of {named_target(scene, i)} near "
                     f"({x:.4g}, {y:.4g}, {z:.4g}) mm, too closely for rays to tell which comes first: leave "
                     f"{plain(2.0 * near, 1)} mm or more between them, or let it reach as far into the glass"
+                    + (", with another priority" if j in bodies else "")
                 )
 
 
 def closed_gaps(scene: Scene, targets: list[TargetMesh]) -> list[str]:
     """Describe the gaps between flat faces of glass that are taken to be closed, a line a pair of bodies.
 
-    Faces that files meant to touch differ by the rounding of float32; they are not named.
+    There are none at round bodies, between whose faces rays meet the air that is there. Faces that files meant to touch
+    differ by the rounding of float32; they are not named.
 
     Parameters
     ----------
@@ -342,7 +385,7 @@ def closed_gaps(scene: Scene, targets: list[TargetMesh]) -> list[str]:
     targets : list of TargetMesh
         Of the scene, in order.
     """
-    bodies = [i for i, target in enumerate(scene.targets) if target.refractor is not None]
+    bodies = [i for i, target in enumerate(scene.targets) if target.refractor is not None and targets[i].round is None]
     if len(bodies) < 2:
         return []
     near = touching_mm([targets[i].mesh for i in bodies])
@@ -402,6 +445,14 @@ def _box(shells: Sequence[Array]) -> tuple[Array, Array]:
 
 NOTHING, PART, WHOLE = 0, 1, 2
 
+SHARES = {
+    Pair.APART: (NOTHING, NOTHING),
+    Pair.FIRST_INSIDE: (WHOLE, PART),
+    Pair.SECOND_INSIDE: (PART, WHOLE),
+    Pair.CUT: (PART, PART),
+}
+"""Shares of two round bodies inside each other."""
+
 
 def _share_inside(own: Sequence[Array], others: Sequence[Array]) -> int:
     """Return how much of a body lies in the glass of another; `WHOLE` as soon as one of its closed surfaces does."""
@@ -420,74 +471,3 @@ def _share_inside(own: Sequence[Array], others: Sequence[Array]) -> int:
             return WHOLE
         share = PART if inside.any() else share
     return share
-
-
-def _refuse_camera_inside(parts: Shells, names: dict[int, str], front: Array) -> None:
-    """Refuse glass that encloses the camera's first surface."""
-    body = _holding(parts, front)
-    if body is not None:
-        raise SceneError(
-            f"{names[body]}: the camera's first surface stands inside this glass; the camera must stand in air: "
-            "move the body away, or give it a hollow round the camera, a surface that faces inwards"
-        )
-
-
-def _reaches(box: tuple[Array, Array], region: Region | None) -> bool:
-    """Tell whether a lamp may reach into a box, given by its lowest and highest coordinates."""
-    if region is None:
-        return False
-    (low, high), middle, size = box, region.centre_mm, region.size_mm
-    return bool((middle + size >= low).all() and (middle - size <= high).all())
-
-
-def _refuse_lamp_inside(parts: Shells, names: dict[int, str], number: int, light: Light) -> None:
-    """Refuse a lamp in glass, with its middle or with any part of it: then a surface of the glass passes through it."""
-    region = light.region
-    if region is None:
-        return
-    body = _holding(parts, region.centre_mm[None])
-    if body is None and region.size_mm > 0.0:
-        body = next((i for i, own in parts.items() if _meets(own, region)), None)
-    if body is not None:
-        raise SceneError(
-            f"lights[{number}].{light.place_in_words} lies inside {names[body]}; a lamp must stand in air: move it, or "
-            "give the body a hollow round it, a surface that faces inwards"
-        )
-
-
-def _meets(own: Sequence[Array], region: Region) -> bool:
-    """Tell whether a lamp with a size, whose middle is outside a body, reaches into its glass, deeper than contact."""
-    low, high = _box(own)
-    if (np.abs(0.5 * (low + high) - region.centre_mm) > 0.5 * (high - low) + region.size_mm).any():
-        return False
-    facets = np.concatenate(own)
-    deep = CUT * min(float((high - low).max()), region.size_mm)
-    ends = region.corners_mm
-    if len(ends) == 2:
-        # Whether the line is in glass changes only where it meets the surface.
-        shares, inside = crossings(facets, *ends)
-        places = np.unique([0.0, *shares[inside], 1.0])
-        middles = 0.5 * (places[1:] + places[:-1])[np.diff(places) * region.size_mm > deep]
-        return bool((_turns(own, ends[0] + middles[:, None] * (ends[1] - ends[0])) != 0).any())
-    # Facets that pass through the plane of the lamp, and the segments in which they do.
-    normal = np.cross(*region.half_mm)
-    height = (facets - region.centre_mm) @ (normal / np.linalg.norm(normal))
-    passes = (height.min(axis=1) < -deep) & (height.max(axis=1) > deep)
-    facets, height = facets[passes], height[passes]
-    # The corner that is alone on its side comes first: both edges from there meet the plane.
-    above = height > 0.0
-    alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
-    order = (alone[:, None] + np.arange(3)) % 3
-    facets, height = (np.take_along_axis(each, index, axis=1) for each, index in (
-        (facets, order[:, :, None]), (height, order)
-    ))  # fmt: skip
-    start, end = (
-        facets[:, 0] + (height[:, 0] / (height[:, 0] - height[:, k]))[:, None] * (facets[:, k] - facets[:, 0])
-        for k in (1, 2)
-    )
-    return bool(region.holds(start, end, np.full(len(facets), deep)).any())
-
-
-def _holding(parts: Shells, points: Array) -> int | None:
-    """Return the body that any of the points lies in; of several the one that comes first, by rank from the highest."""
-    return next((i for i, own in parts.items() if (_turns(own, points) != 0).any()), None)

@@ -162,12 +162,18 @@ def as_meshes(scene: Tables, draw: np.random.Generator, change: Change | None = 
             fold = draw.uniform(10.0, 60.0) if shape["kind"] == "plane" and draw.random() < 0.5 else 0.0
             # Only the material of the scene counts.
             target |= in_file(folded(mesh, fold) if fold else mesh, change) | {"materials": "ignore"}
-        elif (size := target.get("refractor", {}).pop("box_mm", None)) is not None:
-            target["refractor"] |= in_file(of_shape({"kind": "box", "size_mm": size}), change) | {"surface": "flat"}
+        elif (shape := _taken(target.get("refractor", {}))) is not None:
+            target["refractor"] |= in_file(of_shape(shape), change) | {"surface": "flat"}
     for medium in scene.get("media", []):
         if "bounds" in medium:
             medium["bounds"] = in_file(of_shape(medium["bounds"]), change)
     return scene
+
+
+def _taken(refractor: Tables) -> Tables | None:
+    """Take the primitive shape out of a body of glass; None if it has none."""
+    size = refractor.pop("box_mm", None)
+    return refractor.pop("shape", None) if size is None else {"kind": "box", "size_mm": size}
 
 
 def in_file(mesh: Facets, change: Change | None = None) -> Tables:

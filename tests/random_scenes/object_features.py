@@ -269,6 +269,19 @@ def glass_ball(draft: Draft, dice: Dice) -> bool | None:
 
 
 @feature(scenes=0.08)
+def round_glass(draft: Draft, dice: Dice) -> bool | None:
+    """A ball or rod of glass, met exactly, or one of flat facets."""
+    (x, y, z), half = place(draft, dice, 0.4, 0.9)
+    size = rounded(min(half * dice.between(0.1, 0.6), -0.2 * z))
+    shape = dice.one_of(
+        {"kind": "sphere", "radius_mm": size}, {"kind": "cylinder", "radius_mm": size, "height_mm": rounded(1.7 * size)}
+    )
+    body = glass_of(draft, dice) | {"shape": shape} | ({"surface": "flat"} if dice.chance(0.1) else {})
+    draft.add("targets", {"refractor": body, "position_mm": [x, y, z], "rotation_deg": turned(dice)})
+    return None
+
+
+@feature(scenes=0.08)
 def tank(draft: Draft, dice: Dice) -> bool | None:
     """A tank of liquid with its front before the plane in focus; what stands there may be in it or be cut by it."""
     half = beam_mm(draft, 0.7)

@@ -15,7 +15,8 @@ from lfmesh.accuracy.hard.outcome import (
     tilted,
 )
 from lfmesh.accuracy.hard.truth import Array, transmittance
-from lfmesh.scene.objects.targets import Material, Plane, Target
+from lfmesh.scene.objects.shapes import Plane
+from lfmesh.scene.objects.targets import Material, Target
 from lfmesh.transport.trace import trace
 from lfmesh.transport.world import build
 

@@ -6,7 +6,8 @@ from scipy.special import j1
 from lfmesh.accuracy.hard.outcome import Outcome, case, images_of, of_images
 from lfmesh.accuracy.hard.truth import Array
 from lfmesh.scene import Camera, Lens, MicrolensArray, Scene, Sensor, Surface, Target
-from lfmesh.scene.objects.targets import Disk, Material
+from lfmesh.scene.objects.shapes import Disk
+from lfmesh.scene.objects.targets import Material
 
 PITCH_MM, PIXELS, F_NUMBER, NM = 0.01, 10, 8.0, 550.0
 """Lenslet pitch, pixels behind a lenslet, f-number of both lenses, and wavelength."""

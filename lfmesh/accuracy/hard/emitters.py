@@ -10,7 +10,8 @@ import trimesh
 from lfmesh.accuracy.hard.outcome import MOST_SIGMAS, Outcome, case, images_of, surfaces_of
 from lfmesh.accuracy.hard.truth import Array
 from lfmesh.scene import Camera, Lens, Scene, Sensor, Target
-from lfmesh.scene.objects.targets import Material, Plane, Sphere
+from lfmesh.scene.objects.shapes import Plane, Sphere
+from lfmesh.scene.objects.targets import Material
 
 HALF_MM = 0.1
 """Half the side of the illuminated patch."""

@@ -8,7 +8,8 @@ from lfmesh.accuracy.hard.outcome import Outcome, case
 from lfmesh.accuracy.hard.truth import Array
 from lfmesh.scene import Camera, Lens, Light, Scene, Sensor, Surface, Target
 from lfmesh.scene.light.lights import LineLight, PointLight
-from lfmesh.scene.objects.targets import Material, Plane
+from lfmesh.scene.objects.shapes import Plane
+from lfmesh.scene.objects.targets import Material
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.world import build
 

@@ -6,7 +6,8 @@ from lfmesh.accuracy.hard.outcome import MOST_SIGMAS, Outcome, case, images_of, 
 from lfmesh.accuracy.hard.truth import Array
 from lfmesh.scene import Camera, Lens, Scene, Sensor, Target
 from lfmesh.scene.light.lights import PointLight
-from lfmesh.scene.objects.targets import Material, Plane
+from lfmesh.scene.objects.shapes import Plane
+from lfmesh.scene.objects.targets import Material
 
 LAMPS = 3000
 HALF_MM, AWAY_MM = 1.0, 60.0

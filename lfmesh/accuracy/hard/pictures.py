@@ -10,7 +10,8 @@ import trimesh
 from lfmesh.accuracy.hard.outcome import Outcome, case, images_of, of_images, same_light, surfaces_of
 from lfmesh.assets import asset_path
 from lfmesh.scene import Camera, Lens, Refractor, Scene, Sensor, Target, load
-from lfmesh.scene.objects.targets import Material, Plane, Sphere
+from lfmesh.scene.objects.shapes import Plane, Sphere
+from lfmesh.scene.objects.targets import Material
 
 ROOM_MM, HOLE_MM, KELVIN = 120.0, 0.6, 1700.0
 """Sides of a room and of the hole in its front wall, and the room's temperature."""

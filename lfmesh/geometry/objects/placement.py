@@ -236,7 +236,7 @@ def is_round(body: TargetMesh, eye: Array) -> bool:
     """Tell whether a closed body that hides what is behind it holds the camera's first vertex."""
     if not body.closed or body.alpha is not None:
         return False
-    return body.holds(eye)
+    return bool(body.holds(eye[None])[0])
 
 
 def in_field(points: Array, facts: FirstOrder) -> Array:

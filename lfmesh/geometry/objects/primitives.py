@@ -15,7 +15,7 @@ import numpy as np
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_normals
 from lfmesh.geometry.meshes.weld import welded
 from lfmesh.geometry.surfaces.tessellation import disk_pattern, revolved
-from lfmesh.scene.objects.targets import Box, Cylinder, Disk, Plane, Shape, Sphere
+from lfmesh.scene.objects.shapes import Box, Cylinder, Disk, Plane, Shape, Solid, Sphere
 
 RINGS = 20
 """Of triangles, in a disk. Its 120 chords leave 3.4e-4 of the radius, a sphere's facets of 3° 6.9e-4."""
@@ -41,14 +41,14 @@ def primitive(shape: Shape) -> Primitive:
 
 
 @lru_cache(maxsize=KEPT)
-def hull(shape: Disk | Sphere | Cylinder) -> Mesh:
-    """Return a coarse mesh in the shape's own frame that encloses it."""
+def hull(shape: Disk | Sphere | Cylinder, rings: int = COARSE) -> Mesh:
+    """Return a mesh in the shape's own frame that encloses it; the more rings, the more closely."""
     if isinstance(shape, Sphere):
-        mesh = sphere(shape, COARSE).mesh
+        mesh = sphere(shape, rings).mesh
         nearest = np.einsum("ij,ij->i", facet_normals(mesh)[0], mesh.vertices[mesh.faces[:, 0]]).min()
         return Mesh(mesh.vertices * (shape.radius_mm / nearest), mesh.faces)
-    mesh = (cylinder(shape, COARSE) if isinstance(shape, Cylinder) else disk(shape, COARSE)).mesh
-    wider = 1.0 / np.cos(np.pi / _azimuths(COARSE))
+    mesh = (cylinder(shape, rings) if isinstance(shape, Cylinder) else disk(shape, rings)).mesh
+    wider = 1.0 / np.cos(np.pi / _azimuths(rings))
     return Mesh(mesh.vertices * [wider, wider, 1.0], mesh.faces)
 
 
@@ -75,9 +75,9 @@ def box(shape: Box) -> Primitive:
     return Primitive(welded(Mesh(vertices, faces)), uv)
 
 
-def box_of_glass(size_mm: tuple[float, float, float]) -> Mesh:
-    """Return a box of twelve facets, with the facets' own normals at their corners."""
-    mesh = box(Box(size_mm=size_mm)).mesh
+def solid_of_glass(shape: Solid) -> Mesh:
+    """Return the mesh of a closed shape, with the facets' own normals at their corners."""
+    mesh = primitive(shape).mesh
     return Mesh(mesh.vertices, mesh.faces, np.repeat(facet_normals(mesh)[0][:, None, :], 3, axis=1))
 
 

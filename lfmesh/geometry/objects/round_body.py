@@ -1,4 +1,4 @@
-"""Round targets: spheres, cylinders and disks that rays meet as they are, not by a mesh."""
+"""Round targets and bodies of glass: spheres, cylinders and disks that rays meet as they are, not by a mesh."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array, Mesh
-from lfmesh.geometry.objects.primitives import KEPT, Primitive, hull, primitive
+from lfmesh.geometry.objects.primitives import COARSE, KEPT, Primitive, hull, primitive
 from lfmesh.geometry.objects.round_faces import FLAT, ROUND, SPHERE, WALL, boxes_of
-from lfmesh.scene.objects.targets import Cylinder, Disk, Sphere
+from lfmesh.scene.objects.shapes import Cylinder, Disk, Sphere
 
 ROUND_SHAPES = (Sphere, Cylinder, Disk)
 
@@ -36,9 +36,9 @@ class RoundBody:
         """Return a mesh whose vertices lie on it, and where its texture lies on the facets; the latest are kept."""
         return _meshed(self)
 
-    def hull(self) -> Mesh:
-        """Return a coarse mesh that encloses it."""
-        return hull(self.shape).moved(self.place)
+    def hull(self, rings: int = COARSE) -> Mesh:
+        """Return a mesh that encloses it; the more rings, the more closely."""
+        return hull(self.shape, rings).moved(self.place)
 
     def faces(self) -> NDArray[np.void]:
         """Return its faces, (n,) ROUND, in the world frame."""
@@ -69,32 +69,37 @@ class RoundBody:
         (r, z), (radius, half) = self._seen_from_axis(point), self._size_mm
         return float(np.hypot(r, z) + radius if isinstance(self.shape, Sphere) else np.hypot(r + radius, abs(z) + half))
 
-    def distance_mm(self, point: Array) -> float:
-        """Return the distance of its surface from a point (3,) of the world frame."""
-        (r, z), (radius, half) = self._seen_from_axis(point), self._size_mm
-        if isinstance(self.shape, Sphere):
-            return float(abs(np.hypot(r, z) - radius))
-        beside, above = r - radius, abs(z) - half
-        if self.holds(point):
-            return float(min(-beside, -above))
-        return float(np.hypot(max(beside, 0.0), max(above, 0.0)))
+    def distance_mm(self, points: Array) -> Array:
+        """Return the distances (...) of its surface from points (..., 3) of the world frame."""
+        return np.abs(self.height_mm(points))
 
-    def holds(self, point: Array) -> bool:
-        """Tell whether a point (3,) of the world frame lies inside it, where it is closed."""
-        (r, z), (radius, half) = self._seen_from_axis(point), self._size_mm
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """Tell which points (..., 3) of the world frame lie inside it, where it is closed."""
+        return self.height_mm(points) < 0.0
+
+    def height_mm(self, points: Array) -> Array:
+        """Return the distances (...) of its surface from points (..., 3) of the world frame, negative inside it."""
+        (r, z), (radius, half) = self._seen_from_axis(points), self._size_mm
         if isinstance(self.shape, Sphere):
-            return bool(np.hypot(r, z) < radius)
-        return bool(r < radius and abs(z) < half)
+            return np.asarray(np.hypot(r, z) - radius)
+        beside, above = r - radius, np.abs(z) - half
+        outside = np.hypot(np.maximum(beside, 0.0), np.maximum(above, 0.0))
+        return np.asarray(outside + np.minimum(np.maximum(beside, above), 0.0))
+
+    @property
+    def half_mm(self) -> float:
+        """Half the height along the axis; 0 of a sphere or a disk."""
+        return 0.5 * self.shape.height_mm if isinstance(self.shape, Cylinder) else 0.0
 
     @property
     def _size_mm(self) -> tuple[float, float]:
         """Radius, and half the height along the axis."""
-        return self.shape.radius_mm, 0.5 * self.shape.height_mm if isinstance(self.shape, Cylinder) else 0.0
+        return self.shape.radius_mm, self.half_mm
 
-    def _seen_from_axis(self, point: Array) -> tuple[float, float]:
-        """Return a point's distance from the axis, and its height along that."""
-        x, y, z = frame.points(frame.inverse(self.place), point)
-        return float(np.hypot(x, y)), float(z)
+    def _seen_from_axis(self, points: Array) -> tuple[Array, Array]:
+        """Return the distances of points from the axis, and their heights along that."""
+        x, y, z = np.moveaxis(frame.points(frame.inverse(self.place), points), -1, 0)
+        return np.hypot(x, y), z
 
 
 @lru_cache(maxsize=KEPT)

@@ -1,4 +1,4 @@
-"""Round faces of targets as rays meet them, in float64: spheres, walls of cylinders and disks in a tree of boxes.
+"""Round faces of targets and glass as rays meet them, in float64: spheres, walls of cylinders and disks in a tree.
 
 Each face has parameters (s, t) in the unit square that map to it with equal areas, by which its points are drawn as
 light sources: of a sphere Archimedes' longitude and height, of a disk azimuth and squared radius. Its picture lies on
@@ -110,70 +110,105 @@ def places_in_picture(face: np.void, s: Array, t: Array) -> Array:
     return np.asarray(face["corner"] + face["extent"] * place)
 
 
-@kernel
-def first_round(rounds: RoundFaces, ray: Ray, left: int, until: float) -> tuple[int, float, float]:
-    """Return the number of the first face that a ray meets, the distance, and outward normal · direction; −1: none.
+def round_finder(is_met: Any) -> Any:
+    """Make the kernel that finds the first of the round faces that a ray meets.
 
     Parameters
     ----------
-    rounds : RoundFaces
-    ray : Ray
-    left : int
-        Number of the face that it starts on; negative, or too large: none of them.
-    until : float, mm
-        Distance before which a face is looked for.
+    is_met : kernel
+        Called as ``is_met(state, number, t, along)`` for a face that the ray crosses at a distance t, with outward
+        normal · direction; tells whether the ray meets it there, or goes on as if there were none.
+
+    Returns
+    -------
+    first_round : kernel
     """
-    found, nearest, steepness = -1, until, 0.0
-    slopes, node = slopes_of(ray), 1
-    while node > 0:
-        if meets_box(rounds.low[node], rounds.high[node], ray, slopes, 0.0, nearest):
-            if node < rounds.leaves:
-                node *= 2
-                continue
-            begin = (node - rounds.leaves) * rounds.size
-            for k in range(begin, begin + rounds.size):
-                number = rounds.order[k]
-                t, along = _meets(rounds.faces[number], ray, number == left)
-                if t < nearest:
-                    found, nearest, steepness = number, t, along
-        node = next_node(node)
-    return found, nearest, steepness
+
+    @kernel
+    def first_round(rounds: RoundFaces, state: Any, ray: Ray, left: int, until: float) -> tuple[int, float, float]:
+        """Return the number of the first face that a ray meets, the distance, and outward normal · direction; −1: none.
+
+        Parameters
+        ----------
+        rounds : RoundFaces
+        state : Any
+            As `is_met` takes it.
+        ray : Ray
+        left : int
+            Number of the face that it starts on; negative, or too large: none of them.
+        until : float, mm
+            Distance before which a face is looked for.
+        """
+        found, nearest, steepness = -1, until, 0.0
+        slopes, node = slopes_of(ray), 1
+        while node > 0:
+            if meets_box(rounds.low[node], rounds.high[node], ray, slopes, 0.0, nearest):
+                if node < rounds.leaves:
+                    node *= 2
+                    continue
+                begin = (node - rounds.leaves) * rounds.size
+                for k in range(begin, begin + rounds.size):
+                    number = rounds.order[k]
+                    enters, leaves, steep = _crossings(rounds.faces[number], ray, number == left)
+                    if 0.0 < enters < nearest and is_met(state, number, enters, -steep):
+                        found, nearest, steepness = number, enters, -steep
+                    elif 0.0 < leaves < nearest and is_met(state, number, leaves, steep):
+                        found, nearest, steepness = number, leaves, steep
+            node = next_node(node)
+        return found, nearest, steepness
+
+    return first_round
 
 
 @inlined
-def _meets(face: Any, ray: Ray, starts_on_it: bool) -> tuple[float, float]:
-    """Return the distance at which a ray meets a face, and outward normal · direction there; inf, 0 if it does not.
+def _any_way(state: Any, number: int, t: float, along: float) -> bool:
+    """Tell that a ray meets every face."""
+    return True
 
-    A ray that starts on a face meets it again at the other root only: the one at its start is rounding.
+
+first_round = round_finder(_any_way)
+"""Finder of the first face, whatever light does there; its state is not used."""
+
+
+@inlined
+def _crossings(face: Any, ray: Ray, starts_on_it: bool) -> tuple[float, float, float]:
+    """Return the distances at which a line crosses a face inwards and outwards, and |normal · direction| there.
+
+    Where it does not cross the face they are inf. A ray that starts on a face crosses it again at the other root only:
+    the one at its start is rounding.
     """
     if face.kind == SPHERE:
-        return _meets_sphere(face, ray, starts_on_it)
+        return _crossings_of_sphere(face, ray, starts_on_it)
     x, y, z, dx, dy, dz = _own(face, ray)
     radius2 = face.radius * face.radius
     if face.kind == FLAT:
         t = -z / dz
-        if starts_on_it or not 0.0 < t < np.inf:
-            return np.inf, 0.0
+        if starts_on_it or not abs(t) < np.inf:
+            return np.inf, np.inf, 0.0
         x, y = x + t * dx, y + t * dy
-        return (t, dz) if x * x + y * y <= radius2 else (np.inf, 0.0)
+        if not x * x + y * y <= radius2:
+            return np.inf, np.inf, 0.0
+        return (t, np.inf, -dz) if dz < 0.0 else (np.inf, t, dz)
     across2 = dx * dx + dy * dy
     middle = -(x * dx + y * dy) / across2
     nx, ny = x + middle * dx, y + middle * dy
     room = radius2 - nx * nx - ny * ny
     if not (across2 > 0.0 and room >= 0.0):
-        return np.inf, 0.0
+        return np.inf, np.inf, 0.0
     half = np.sqrt(room / across2)
-    for t in (middle - half, middle + half):
-        if starts_on_it:
-            t = 2.0 * middle
-        if t > 0.0 and abs(z + t * dz) <= face.half:
-            return t, (t - middle) * across2 / face.radius
-    return np.inf, 0.0
+    enters, leaves = middle - half, middle + half
+    if starts_on_it:
+        enters, leaves, half = np.inf, 2.0 * middle, middle
+    if not abs(z + enters * dz) <= face.half:
+        enters = np.inf
+    if not abs(z + leaves * dz) <= face.half:
+        leaves = np.inf
+    return enters, leaves, half * across2 / face.radius
 
 
 @inlined
-def _meets_sphere(face: Any, ray: Ray, starts_on_it: bool) -> tuple[float, float]:
-    """Return the result of `_meets` for a sphere.
+def _crossings_of_sphere(face: Any, ray: Ray, starts_on_it: bool) -> tuple[float, float, float]:
+    """Return the result of `_crossings` for a sphere.
 
     The distance of the line from the centre is computed first, as a difference of squares loses digits of far starts
     (E. Haines, J. Günther and T. Akenine-Möller, "Precision improvements for ray/sphere intersection", in Ray Tracing
@@ -185,13 +220,11 @@ def _meets_sphere(face: Any, ray: Ray, starts_on_it: bool) -> tuple[float, float
     x, y, z = x + middle * ray.dx, y + middle * ray.dy, z + middle * ray.dz
     room = face.radius * face.radius - x * x - y * y - z * z
     if room < 0.0:
-        return np.inf, 0.0
+        return np.inf, np.inf, 0.0
     half = np.sqrt(room)
     if starts_on_it:
-        return (2.0 * middle, middle / face.radius) if middle > 0.0 else (np.inf, 0.0)
-    if middle > half:
-        return middle - half, -half / face.radius
-    return (middle + half, half / face.radius) if middle > -half else (np.inf, 0.0)
+        return np.inf, 2.0 * middle, middle / face.radius
+    return middle - half, middle + half, half / face.radius
 
 
 @inlined
@@ -207,6 +240,24 @@ def _own(face: Any, ray: Ray) -> Ray:
         a[1, 0] * ray.dx + a[1, 1] * ray.dy + a[1, 2] * ray.dz,
         a[2, 0] * ray.dx + a[2, 1] * ray.dy + a[2, 2] * ray.dz,
     )
+
+
+@kernel
+def lies_in(face: Any, x: float, y: float, z: float) -> bool:
+    """Tell whether a point lies in the closed body of a face: of a cylinder its wall tells, no flat end does.
+
+    Parameters
+    ----------
+    face : ROUND
+    x, y, z : float, mm
+    """
+    own = _own(face, Ray(x, y, z, 0.0, 0.0, 1.0))
+    if face.kind == FLAT:
+        return False
+    across2 = own.x * own.x + own.y * own.y
+    if face.kind == WALL:
+        return across2 < face.radius * face.radius and abs(own.z) < face.half
+    return across2 + own.z * own.z < face.radius * face.radius
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +25,14 @@ from lfmesh.geometry.meshes.weld import welded
 from lfmesh.geometry.meshes.winding import winding
 from lfmesh.geometry.objects.atlas import atlas
 from lfmesh.geometry.objects.gloss_pictures import GlossOnFacets, gloss_on_facets, without_even_gloss
-from lfmesh.geometry.objects.primitives import Primitive, box_of_glass, primitive
+from lfmesh.geometry.objects.primitives import Primitive, primitive, solid_of_glass
 from lfmesh.geometry.objects.refractors import solid_mesh
 from lfmesh.geometry.objects.round_body import ROUND_SHAPES, RoundBody
 from lfmesh.geometry.objects.texture import Texture, load_texture
 from lfmesh.geometry.objects.vertex_colours import with_colours_as_picture
 from lfmesh.optics.gltf_material import GltfMaterial
 from lfmesh.scene import Scene, Target
-from lfmesh.scene.objects.targets import Disk, Plane
+from lfmesh.scene.objects.shapes import Disk, Plane, Shape
 
 STEEPEST_DEG = 45.0
 """By which a vertex normal of a mesh file may stand off its facet's: more is a sharp edge, averaged by a program."""
@@ -113,16 +114,16 @@ class TargetMesh:
         vertices = self.surface.mesh.vertices
         return np.array([vertices.min(axis=0), vertices.max(axis=0)])
 
-    def holds(self, point: Array) -> bool:
-        """Tell whether a closed body holds a point (3,) of the world frame."""
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """Tell which points (n, 3) of the world frame a closed body holds."""
         if isinstance(self.surface, RoundBody):
-            return self.surface.holds(point)
-        return bool(winding(self.mesh.vertices[self.mesh.faces], point)[0] != 0)
+            return self.surface.holds(points)
+        return winding(self.mesh.vertices[self.mesh.faces], points) != 0
 
     def distance_mm(self, point: Array) -> float:
         """Return the distance of its surface from a point (3,) of the world frame, mm."""
         if isinstance(self.surface, RoundBody):
-            return self.surface.distance_mm(point)
+            return float(self.surface.distance_mm(point))
         return distance_mm(self.mesh.vertices[self.mesh.faces], point)
 
 
@@ -134,25 +135,49 @@ def target_body(target: Target, scene: Scene) -> TargetMesh:
     MeshError, FileError
         As of `target_mesh`.
     """
-    if not isinstance(target.shape, ROUND_SHAPES) or not is_met_exactly(target, scene):
+    shape = _shape_of(target)
+    if not isinstance(shape, ROUND_SHAPES) or not is_met_exactly(target, scene):
         return target_mesh(target, scene)
-    texture, place = None, np.array([[0.0, 0.0], [1.0, 1.0]])
+    texture, alpha, place = None, None, np.array([[0.0, 0.0], [1.0, 1.0]])
+    asks_alpha = target.material.opacity == "texture_alpha"
     if target.material.texture is not None:
-        name = str(target.shape.kind)
-        picture = _picture(target, scene, False)
+        name = str(shape.kind)
+        picture = _picture(target, scene, asks_alpha)
         # Its corners lie in the texture where those of a rectangle do.
         placed, texture = atlas(name, [_covered(Piece(*primitive(Plane(width_mm=1.0, height_mm=1.0))), picture, name)])
         if placed is not None:
             place = np.array([placed[0, 0], placed[0, 2] - placed[0, 0]])
-    body = RoundBody(target.shape, frame(target.rotation_deg, target.position_mm), place)
+        texture, alpha = _parted(texture)
+    if asks_alpha and alpha is None:
+        _refuse_opaque(target, str(shape.kind))
+    body = RoundBody(shape, frame(target.rotation_deg, target.position_mm), place)
     _refuse_too_far(target, body.box_mm())
-    return TargetMesh(body, texture, not isinstance(target.shape, Disk))
+    return TargetMesh(body, texture, not isinstance(shape, Disk), alpha)
 
 
 def is_met_exactly(target: Target, scene: Scene) -> bool:
     """Tell whether rays meet the round surface of a target itself, not a mesh of it."""
-    exact = scene.transport.surface == "exact" and target.material.opacity == 1.0
-    return exact and isinstance(target.shape, ROUND_SHAPES)
+    of_target = "exact" if target.refractor is None else target.refractor.surface
+    return scene.transport.surface == of_target == "exact" and isinstance(_shape_of(target), ROUND_SHAPES)
+
+
+def _shape_of(target: Target) -> Shape | None:
+    """Return the primitive shape of a target, of glass or not; None where a mesh file has it."""
+    return target.shape if target.refractor is None else target.refractor.solid
+
+
+def _parted(texture: Texture | None) -> tuple[Texture | None, Texture | None]:
+    """Return the colours of a picture and its alpha; None for an alpha that is missing, or 1 all over."""
+    if texture is None or texture.shape[2] < 4:
+        return texture, None
+    alpha = np.ascontiguousarray(texture[..., 3])
+    return np.ascontiguousarray(texture[..., :3]), None if (alpha == 1.0).all() else alpha
+
+
+def _refuse_opaque(target: Target, name: str) -> NoReturn:
+    """Refuse a target whose opacity is that of a picture without alpha."""
+    which = target.material.texture or name
+    raise MeshError(f'{which}: is opaque all over, and opacity = "texture_alpha" asks for its alpha; omit it')
 
 
 def target_mesh(target: Target, scene: Scene) -> TargetMesh:
@@ -170,8 +195,8 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
     """
     if target.refractor is not None:
         glass = target.refractor
-        if glass.box_mm is not None:
-            body = box_of_glass(glass.box_mm)
+        if glass.solid is not None:
+            body = solid_of_glass(glass.solid)
         else:
             body = solid_mesh(
                 scene.resolve(str(glass.file)), glass.units, glass.crease_deg, glass.node, glass.tolerance_mm
@@ -204,14 +229,11 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
     placed, texture = atlas(name, pieces)
     alpha = None
     if with_alpha and texture is not None and texture.shape[2] == 4:
-        texture, alpha = np.ascontiguousarray(texture[..., :3]), np.ascontiguousarray(texture[..., 3])
-        if (alpha == 1.0).all():
-            alpha = None
-        if taken and (texture == 1.0).all() and alpha is None:
+        texture, alpha = _parted(texture)
+        if taken and texture is not None and (texture == 1.0).all() and alpha is None:
             texture = None
     if asks_alpha and alpha is None:
-        which = target.material.texture or name
-        raise MeshError(f'{which}: is opaque all over, and opacity = "texture_alpha" asks for its alpha; omit it')
+        _refuse_opaque(target, name)
     if target.file is None or target.normals == "facets":
         pieces = [replace(piece, mesh=replace(piece.mesh, corner_normals=None)) for piece in pieces]
     mesh = joined(piece.mesh for piece in pieces)

@@ -353,8 +353,10 @@ class Surface(Model):
         for key, given in self._given_beside("thickness_mm", "semi_diameter_mm", "refractor"):
             beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
             yield Fault((key,), given, f"omit it: the refractor is a whole element{beside}")
-        if self.refractor is not None and self.refractor.box_mm is not None:
-            yield Fault(("refractor", "box_mm"), self.refractor.box_mm, "only in front of the camera; give file")
+        for key in ("shape", "box_mm"):
+            given = getattr(self.refractor, key, None)
+            if given is not None:
+                yield Fault(("refractor", key), given, "only in front of the camera; give file")
         if self.refractor is not None and self.refractor.absorption_per_mm != 0.0:
             yield Fault(
                 ("refractor", "absorption_per_mm"), None,

@@ -14,7 +14,7 @@ from lfmesh.scene.light.spectra import Shape as SpectralShape
 from lfmesh.scene.light.turns import rotation, turned_about
 from lfmesh.scene.media.phase import IsotropicPhase, Phase
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.objects.targets import Box, Cylinder, Sphere
+from lfmesh.scene.objects.shapes import Box, Cylinder, Sphere
 from lfmesh.scene.quantities import Count, FilePath, NonNegative, Number, Positive, Text, Vector, Whole, no_direction
 
 Array = NDArray[np.float64]

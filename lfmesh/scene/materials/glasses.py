@@ -23,7 +23,7 @@ def glass_lines(scene: Scene) -> list[str]:
     for i, target in enumerate(scene.targets):
         if target.refractor is not None and target.refractor.glass is not None:
             # A tank's bodies are called after it.
-            name = target.name if target.refractor.box_mm is not None else None
+            name = target.name if target.refractor.solid is not None else None
             places.setdefault(target.refractor.glass, []).append(name or f"targets[{i}]")
     for name, coating in scene.all_coatings.items():
         for layer in coating.layers or ():

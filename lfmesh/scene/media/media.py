@@ -10,7 +10,7 @@ from lfmesh.scene.light.spectra import Shape as SpectralShape
 from lfmesh.scene.media.phase import IsotropicPhase, Phase
 from lfmesh.scene.model import Fault, Model, kind_of
 from lfmesh.scene.objects.refractor import BodyFile
-from lfmesh.scene.objects.targets import Box, Cylinder, Sphere
+from lfmesh.scene.objects.shapes import Box, Cylinder, Sphere
 from lfmesh.scene.quantities import FilePath, Positive, Text, Vector
 
 

@@ -1,4 +1,4 @@
-"""Glass whose shape is a mesh file: an element of the lens, or a body in front of the camera."""
+"""Bodies of glass: an element of the lens from a mesh file, or a body in front of the camera."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +12,7 @@ from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.scene.materials.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.materials.own_glass import Glass
 from lfmesh.scene.model import Fault, Model, nearest
+from lfmesh.scene.objects.shapes import Box, Cylinder, Solid, Sphere
 from lfmesh.scene.quantities import FilePath, Index, NodeKey, Positive, Text
 
 STEP_ENDINGS = (".step", ".stp")
@@ -99,10 +100,12 @@ class MeshShape(BodyFile):
 
 
 class Refractor(MeshShape):
-    """A closed body of glass, its shape a mesh or, in object space, a box."""
+    """A closed body of glass, its shape a mesh or, in object space, a sphere, box or cylinder."""
 
+    shape: Solid | None = None
+    """Sphere, box or cylinder, as of targets, in object space. Or give `file`."""
     box_mm: tuple[Positive, Positive, Positive] | None = None
-    """Edges of a box along x, y, z, in mm, centred, in object space. Or give `file`."""
+    """Edges of a box along x, y, z, in mm, centred, in object space. Or give `shape` or `file`."""
     index: Index | None = None
     """Refractive index. Or give `glass`."""
     glass: Glass | None = None
@@ -123,24 +126,40 @@ class Refractor(MeshShape):
         return self.index if self.index is not None else self.glass or 1.0
 
     @property
+    def solid(self) -> Sphere | Box | Cylinder | None:
+        """Primitive shape of the body; None where a mesh file has it."""
+        return Box(size_mm=self.box_mm) if self.box_mm is not None else self.shape
+
+    @property
     def level(self) -> FacetLevel:
-        """Meaning of its facets; those of a box are flat."""
-        return "flat" if self.box_mm is not None else self.facets
+        """Meaning of its facets; those of a primitive shape are flat."""
+        return self.facets if self.solid is None else "flat"
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
-        if self.box_mm is None:
+        if self.solid is None:
             yield from super().faults()
         else:
-            for key in MeshShape.model_fields:
-                if getattr(self, key) != MeshShape.model_fields[key].default:
-                    yield Fault((key,), getattr(self, key), "box_mm is given too; omit it, or give a mesh file")
+            yield from self._solid_faults("box_mm" if self.shape is None else "shape")
         if self.index is None and self.glass is None:
             yield Fault(("index",), None, "missing: give the index of the glass, or glass")
         elif self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
         yield from coefficient_faults(self.absorption_per_mm, ("absorption_per_mm",))
         yield from both_given(self.coating, self.finish, "finish")
+
+    def _solid_faults(self, given: str) -> Iterator[Fault]:
+        """Yield keys that stand beside a primitive shape, which the key `given` gives, and mean nothing there."""
+        if self.shape is not None and self.box_mm is not None:
+            yield Fault(("box_mm",), self.box_mm, "shape is given too; give one of them")
+        for key in MeshShape.model_fields:
+            value = getattr(self, key)
+            if value == MeshShape.model_fields[key].default:
+                continue
+            if key != "surface" or self.shape is None:
+                yield Fault((key,), value, f"{given} is given too; omit it, or give a mesh file")
+            elif value != "flat":
+                yield Fault((key,), value, 'a shape is met as it is, or by flat facets: omit it, or take "flat"')
 
 
 class MeshFace(MeshShape):

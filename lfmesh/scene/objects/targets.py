@@ -9,69 +9,11 @@ from lfmesh.scene.light.spectra import Kelvin, Radiance, Reflectance, Spectrum, 
 from lfmesh.scene.light.spectra import Shape as SpectralShape
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.objects.refractor import BodyFile, Refractor
+from lfmesh.scene.objects.shapes import Shape
 from lfmesh.scene.quantities import FilePath, GlossIndex, MetalName, Opacity, Positive, Text, Vector
 
 SMALLEST_ROUGHNESS, LARGEST_ROUGHNESS = 0.01, 1.0
 """Of a gloss: α_g."""
-
-
-class Plane(Model):
-    """A rectangle in its own xy plane, facing +z: towards the camera where it is not rotated.
-
-    Seen from behind, its texture is mirrored.
-    """
-
-    kind: Literal["plane"] = "plane"
-    """Kind of shape."""
-    width_mm: Positive
-    """Extent along x, in mm."""
-    height_mm: Positive
-    """Extent along y, in mm."""
-
-
-class Disk(Model):
-    """A disk in its own xy plane, facing +z. The square round it carries the texture, mirrored if seen from behind."""
-
-    kind: Literal["disk"] = "disk"
-    """Kind of shape."""
-    radius_mm: Positive
-    """Radius, in mm."""
-
-
-class Sphere(Model):
-    """A sphere. Its texture is an equirectangular map: centre towards +z, top towards +y."""
-
-    kind: Literal["sphere"] = "sphere"
-    """Kind of shape."""
-    radius_mm: Positive
-    """Radius, in mm."""
-
-
-class Box(Model):
-    """A box, centred, with its edges along x, y and z. Every face carries the whole texture."""
-
-    kind: Literal["box"] = "box"
-    """Kind of shape."""
-    size_mm: tuple[Positive, Positive, Positive]
-    """Lengths of the edges along x, y, z, in mm."""
-
-
-class Cylinder(Model):
-    """A closed cylinder, centred, with its axis along z; `rotation_deg = [90, 0, 0]` stands it up.
-
-    Its ends carry the texture as disks do, its wall once round: middle towards +y, top towards -z, so that it faces the
-    camera upright when the cylinder stands.
-    """
-
-    kind: Literal["cylinder"] = "cylinder"
-    """Kind of shape."""
-    radius_mm: Positive
-    """Radius, in mm."""
-    height_mm: Positive
-    """Length along z, in mm."""
-
-
-Shape = Annotated[Plane | Disk | Sphere | Box | Cylinder, Field(discriminator="kind")]
 
 
 class Gloss(Model):
@@ -186,7 +128,7 @@ class Target(BodyFile):
     material: Material = Field(default_factory=Material)
     """Material of the whole surface."""
     refractor: Refractor | None = None
-    """Closed body of glass from a mesh file, in place of shape or file; it has no material."""
+    """Closed body of glass, in place of shape or file; it has no material."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

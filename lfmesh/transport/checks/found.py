@@ -26,6 +26,7 @@ from lfmesh.errors import (
 )
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import percent, plain
+from lfmesh.scene.objects.shapes import Box
 from lfmesh.transport.aims.fitting import ALLOWED
 from lfmesh.transport.checks.aim_proof import AimProof
 from lfmesh.transport.checks.blind_check import BlindCheck
@@ -211,13 +212,13 @@ def _remedy(scene: Scene, ledger: Ledger) -> str:
     glass = [body for name in ledger.lost_in if (body := names.get(name)) is not None]
     of_lens = scene.camera.lens.has_meshes and bool(ledger.lost_in.keys() - names.keys())
     words = ""
-    if of_lens or any(body.box_mm is None for body in glass):
+    if of_lens or any(body.solid is None for body in glass):
         words += (
             "; glass from a mesh file loses least where its facets are small, its normals fit them (crease_deg has "
             'them estimated) and its bodies do not touch; surface = "flat" takes the facets as they are'
         )
     # Walls and liquid of a tank are boxes, too, in a scene that is traced.
-    if any(body.box_mm is not None for body in glass):
+    if any(isinstance(body.solid, Box) for body in glass):
         words += (
             "; a box loses light that meets its edges within rounding: less where it is so large (box_mm, or size_mm "
             "of a tank) that its edges lie out of the light"

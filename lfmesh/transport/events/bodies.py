@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from lfmesh.geometry.objects.round_faces import lies_in
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.facets import crosses
@@ -92,7 +93,7 @@ def bodies_at(objects: ObjectTables, x: float, y: float, z: float) -> int:
     """Return the bodies that a point of the object frame is in, as packets hold them; `TOO_MANY` if there is no room.
 
     A line from the point along z crosses the shell of each an odd number of times. Whether it passes one side of an
-    edge or the other is computed alike for both facets of the edge.
+    edge or the other is computed alike for both facets of the edge. Round bodies tell by themselves.
 
     Parameters
     ----------
@@ -102,7 +103,8 @@ def bodies_at(objects: ObjectTables, x: float, y: float, z: float) -> int:
     """
     inside = 0
     for rank in range(1, len(objects.by_rank)):
-        body, is_in_it = objects.by_rank[rank], False
+        body = objects.by_rank[rank]
+        is_in_it = _is_in_round(objects.rounds, body, x, y, z)
         for prim in range(len(objects.facets)):
             facet = objects.facets[prim]
             if facet.body != body or not _is_above(facet, x, y):
@@ -113,6 +115,17 @@ def bodies_at(objects: ObjectTables, x: float, y: float, z: float) -> int:
         if is_in_it and inside != TOO_MANY:
             inside = with_body(inside, rank)
     return inside
+
+
+@inlined
+def _is_in_round(rounds: Any, body: int, x: float, y: float, z: float) -> bool:
+    """Tell whether a point lies in a round body; `rounds` : RoundFaces or None."""
+    if rounds is not None:
+        for number in range(len(rounds.faces)):
+            face = rounds.faces[number]
+            if face.body == body and lies_in(face, x, y, z):
+                return True
+    return False
 
 
 @inlined

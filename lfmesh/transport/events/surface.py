@@ -317,7 +317,7 @@ def opacity_at(objects: ObjectTables, prim: int, x: float, y: float, z: float) -
     if objects.opacity[body] != BY_ALPHA:
         return objects.opacity[body]
     height, width = objects.texture[body, 1], objects.texture[body, 2]
-    row, column = _place_in(objects.facets[prim], objects.uv[prim], height, width, x, y, z)
+    row, column = _texel_at(objects.rounds, objects, prim, height, width, x, y, z)
     return _between_texels(objects.alpha, objects.alpha_first[body], height, width, row, column)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lfmesh.geometry.objects.round_faces import parameters_at
+from lfmesh.geometry.objects.round_faces import FLAT, parameters_at
 from lfmesh.geometry.ray import Ray, along, ray_of
 from lfmesh.kernels.decorators import inlined
 from lfmesh.kernels.search import drawn_by
@@ -61,13 +61,22 @@ def sample(options: Options, objects: ObjectTables, packet: Any) -> Way:
     distance2 = ux * ux + uy * uy + uz * uz
     distance = np.sqrt(distance2)
     drawn, away = 0.0, 0.0
-    if prim != packet.facet and distance2 > 0.0:
+    if (prim != packet.facet or _is_bent(objects.rounds, prim)) and distance2 > 0.0:
         ux, uy, uz = ux / distance, uy / distance, uz / distance
         away = nx * ux + ny * uy + nz * uz
     # A facet in the point's own plane, to rounding, sends it no light.
     if away < 0.0 or (away > 0.0 and not objects.one_sided[objects.facets[prim].body]):
         drawn = per_area * distance2 / abs(away)
     return Way(TO_FACET, prim, Ray(packet.x, packet.y, packet.z, ux, uy, uz), distance, 1.0, drawn)
+
+
+@inlined
+def _is_bent(rounds: Any, prim: int) -> bool:
+    """Tell whether a point of a facet may see another point of it; `rounds` : RoundFaces or None."""
+    if rounds is not None:  # noqa: SIM102
+        if prim >= rounds.first:
+            return rounds.faces[prim - rounds.first].kind != FLAT
+    return False
 
 
 @inlined
@@ -116,8 +125,8 @@ def radiance(objects: ObjectTables, packet: Any, way: Way) -> float:
 
 
 @inlined
-def is_reached(objects: ObjectTables, packet: Any, prim: int) -> bool:
-    """Tell whether a shadow packet meets the facet that it was sent to, when the query found the facet `prim`.
+def is_reached(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
+    """Tell whether a shadow packet meets the point that it was sent to, when the query found the facet `prim`.
 
     Parameters
     ----------
@@ -125,14 +134,28 @@ def is_reached(objects: ObjectTables, packet: Any, prim: int) -> bool:
     packet : PACKET
     prim : int
         −1: none.
+    t : float, mm
+        Its distance.
     """
     if prim < 0 or prim == packet.goal:
-        return prim >= 0
-    # Next to an edge, float32 may find the neighbour of the right facet.
+        # A line through a round face meets it on two sides, of which the point lies on one.
+        return prim >= 0 and (
+            not _is_bent(objects.rounds, prim)
+            or (_along_at(objects, packet, prim, t) > 0.0) == (_along_at(objects, packet, prim, packet.limit) > 0.0)
+        )
+    # Next to an edge, float32 may find the neighbour of the right facet; round faces are found in float64.
     facet = objects.facets[prim]
-    if facet.body != objects.facets[packet.goal].body:
+    if facet.body != objects.facets[packet.goal].body or facet.size == 0.0:
         return False
     return crosses(facet, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)[0] == np.inf
+
+
+@inlined
+def _along_at(objects: ObjectTables, packet: Any, prim: int, t: float) -> float:
+    """Return outward normal · direction where a packet meets a facet at a distance."""
+    x, y, z = along(ray_of(packet), t)
+    nx, ny, nz = outward(objects, prim, x, y, z)
+    return nx * packet.dx + ny * packet.dy + nz * packet.dz
 
 
 @inlined

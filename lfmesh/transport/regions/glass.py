@@ -119,7 +119,8 @@ def through_glass(glass: Any, space: ObjectSpace, packet: Any, prim: int, t: flo
         The facet.
     t : float, mm
     curved : tuple
-        Facet of the curved patch that the packet meets, or −1, its distance, which is then t, and its normal.
+        Facet of the curved patch, or round face, that the packet meets itself, or −1; its distance, which is then t,
+        and its normal.
     """
     if glass is None:
         return
@@ -130,8 +131,8 @@ def through_glass(glass: Any, space: ObjectSpace, packet: Any, prim: int, t: flo
     x, y, z = packet.x + t * dx, packet.y + t * dy, packet.z + t * dz
     inside = bodies_round(packet)
     entering = not is_in(inside, objects.rank[body])
-    on_patch = curved[0] >= 0
-    if on_patch:
+    on_patch, is_round = curved[0] >= 0, facet.size == 0.0
+    if on_patch and not is_round:
         # Bodies that touch have the same facets: which of them are met is seen on the facet, along its normal.
         fx, fy, fz = nearest_on_facet(facet, x, y, z)
         sense, normal = -1.0 if entering else 1.0, facet.normal
@@ -165,8 +166,9 @@ def through_glass(glass: Any, space: ObjectSpace, packet: Any, prim: int, t: flo
     else:
         nx, ny, nz = facet_normal(level, facet, x, y, z)
     cos_i = nx * dx + ny * dy + nz * dz
-    if (cos_i < 0.0) != entering:
-        # An interpolated normal may point against a grazing ray; the facet's normal then replaces it.
+    if (cos_i < 0.0) != entering and not is_round:
+        # An interpolated normal may point against a grazing ray; the facet's normal then replaces it. That of a round
+        # face does so to rounding, where it is square to the ray.
         normal = facet.normal
         nx, ny, nz = normal[0], normal[1], normal[2]
         cos_i = nx * dx + ny * dy + nz * dz
@@ -242,7 +244,9 @@ def _through_rough_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any
 
 @inlined
 def _along_facet(facet: Any, face: RoughFace) -> tuple[float, float, float]:
-    """Return a facet's normal, in the sense of the normal of its surface."""
+    """Return a facet's normal, in the sense of the normal of its surface; of a round face, that itself."""
+    if facet.size == 0.0:
+        return face.nx, face.ny, face.nz
     normal = facet.normal
     sense = 1.0 if normal[0] * face.nx + normal[1] * face.ny + normal[2] * face.nz > 0.0 else -1.0
     return sense * normal[0], sense * normal[1], sense * normal[2]

@@ -5,7 +5,6 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.meshes.mesh import Array
-from lfmesh.geometry.meshes.winding import winding
 from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.transport.events.bodies import BITS, LOW, LOW_BITS, MOST_AT_ONCE, RANK
 from lfmesh.transport.tables.tables import AIR, ObjectTables
@@ -30,17 +29,15 @@ def glass_round(objects: ObjectTables, targets: list[TargetMesh], points: Array)
     bodies = np.flatnonzero(objects.rank)
     if not len(bodies) or not len(points):
         return inside
-    meshes = {body: targets[body].mesh for body in bodies}
-    low = np.min([mesh.vertices.min(axis=0) for mesh in meshes.values()], axis=0)
-    high = np.max([mesh.vertices.max(axis=0) for mesh in meshes.values()], axis=0)
+    boxes = np.array([targets[body].box_mm for body in bodies])
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
     # Most rays start far from all glass, and many at few points.
     near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
     places, of_point = np.unique(points[near], axis=0, return_inverse=True)
     number = np.zeros(len(places), np.int64)
     count = np.zeros(len(places), np.int64)
     for body in sorted(bodies, key=lambda i: -int(objects.rank[i])):
-        mesh = meshes[body]
-        within = winding(mesh.vertices[mesh.faces], places) != 0
+        within = targets[body].holds(places)
         if (count[within] == MOST_AT_ONCE).any():
             x, y, z = places[within & (count == MOST_AT_ONCE)][0]
             raise LfmeshError(

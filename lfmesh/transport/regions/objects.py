@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.meshes.boxes import box_entry
 from lfmesh.geometry.meshes.patch_tree import patch_finder
-from lfmesh.geometry.objects.round_faces import first_round
+from lfmesh.geometry.objects.round_faces import round_finder, round_normal
 from lfmesh.geometry.ray import Ray, ray_of
+from lfmesh.geometry.ray import along as point_along
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.bodies import RANK, bodies_round, is_in
 from lfmesh.transport.events.crossing import MAX_TRIES, end, end_here, lose, move_packet, requery, too_deep, write_query
@@ -115,15 +116,9 @@ def shade_objects(
                     continue
                 prim, t, along = _first_crossing(objects, packet)
                 facet = facets[max(prim, 0)]
-        curved = _first_curved(objects.glass, objects, packet, t if t > 0.0 else np.inf)
-        if curved[0] >= 0:
-            prim, t, along = _as_met(curved, dx, dy, dz)
-            facet = facets[prim]
-        on_round = _first_round(objects.rounds, packet, t if t > 0.0 else np.inf)
-        if on_round[0] >= 0:
-            prim, t, along = on_round
-            facet, curved = facets[prim], (-1, t, 0.0, 0.0, 1.0)
-        elif prim < 0 and packet.tries == 0 and _might_have_met(objects, packet):
+        prim, t, along, curved = _first_of_all(objects, packet, prim, t, along)
+        facet = facets[max(prim, 0)]
+        if prim < 0 and packet.tries == 0 and _might_have_met(objects, packet):
             # Embree lets a ray pass that is aimed exactly at a vertex.
             requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
@@ -137,9 +132,7 @@ def shade_objects(
             inside = bodies_round(packet)
             body = objects.by_rank[inside & RANK] if inside != 0 else facet.body
             prim, t, along = _first_crossing(objects, packet)
-            curved = _first_curved(objects.glass, objects, packet, t if t > 0.0 else np.inf)
-            if curved[0] >= 0:
-                prim, t, along = _as_met(curved, dx, dy, dz)
+            prim, t, along, curved = _first_of_all(objects, packet, prim, t, along)
             if prim < 0 and (packet.bodies >= 0 or _comes_out_ahead(objects, packet)):
                 if packet.facet == LEFT_MEDIUM:
                     # Emitted from a point of a medium where glass is in its place.
@@ -148,7 +141,7 @@ def shade_objects(
                 lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
                 continue
             facet = facets[max(prim, 0)]
-        if prim >= 0 and _is_sheer(objects, facet.body) and passes(objects, packet, prim, t):
+        if prim >= 0 and _is_sheer(objects, facet.body) and passes(objects, packet, prim, t, along):
             _pass_on(options, flow, frames, objects, packet, prim, t)
             continue
         met = Met(prim, t, curved[0] >= 0)
@@ -214,6 +207,37 @@ def shade_objects(
 
 
 @inlined
+def _first_of_all(
+    objects: ObjectTables, packet: Any, prim: int, t: float, along: float
+) -> tuple[int, float, float, Curved]:
+    """Return what a packet meets first: a facet that was found, or a curved patch or a round face before it.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    packet : PACKET
+    prim : int
+        The facet; −1: none.
+    t : float, mm
+        Its distance; none is looked for beyond, if it lies ahead.
+    along : float
+        Its normal · direction.
+
+    Returns
+    -------
+    prim : int
+    t : float, mm
+    along : float
+    curved : tuple
+        See `_first_curved`; of a round face of glass, too.
+    """
+    curved = _first_curved(objects.glass, objects, packet, t if t > 0.0 else np.inf)
+    if curved[0] >= 0:
+        prim, t, along = _as_met(curved, packet.dx, packet.dy, packet.dz)
+    return _round_before(objects.rounds, objects, packet, prim, t, along, curved)
+
+
+@inlined
 def _sense_at(state: Any, body: int) -> float:
     """Return the sense in which a packet that is in some bodies of glass meets the patches of a body."""
     inside, rank = state
@@ -250,30 +274,53 @@ def _first_curved(glass: Any, objects: ObjectTables, packet: Any, until: float) 
 
 
 @inlined
-def _first_round(rounds: Any, packet: Any, until: float) -> tuple[int, float, float]:
-    """Return the first round face that a packet meets before a distance, that distance, and normal · direction.
+def _is_met(state: Any, number: int, t: float, along: float) -> bool:
+    """Tell whether a packet meets a round face that it crosses: glass by the bodies it is in, sheer targets by chance.
+
+    Parameters
+    ----------
+    state : tuple of ObjectTables and PACKET
+    number, t, along
+        See `round_finder`.
+    """
+    objects, packet = state
+    prim = objects.rounds.first + number
+    body = objects.facets[prim].body
+    if objects.medium[body] != OPAQUE:
+        return (along > 0.0) == is_in(bodies_round(packet), objects.rank[body])
+    return not (_is_sheer(objects, body) and passes(objects, packet, prim, t, along))
+
+
+_first_round = round_finder(_is_met)
+
+
+@inlined
+def _round_before(
+    rounds: Any, objects: ObjectTables, packet: Any, prim: int, t: float, along: float, curved: Curved
+) -> tuple[int, float, float, Curved]:
+    """Return the result of `_first_of_all`, where what was found before is a facet or a curved patch.
 
     Parameters
     ----------
     rounds : RoundFaces or None
         None: there are none, and numba compiles nothing but the first line.
-    packet : PACKET
-    until : float, mm
-
-    Returns
-    -------
-    prim : int
-        Its number among the facets; −1: it meets none.
-    t : float, mm
-    along : float
     """
     if rounds is None:
-        return -1, until, 0.0
+        return prim, t, along, curved
+    until = t if t > 0.0 else np.inf
     if packet.kind == SHADOW and packet.light == TO_LAMP:
         # To a facet that shines it goes up to that itself.
         until = min(until, packet.limit)
-    number, t, along = first_round(rounds, ray_of(packet), packet.facet - rounds.first, until)
-    return (number + rounds.first if number >= 0 else -1), t, along
+    ray = ray_of(packet)
+    number, nearest, steepness = _first_round(rounds, (objects, packet), ray, packet.facet - rounds.first, until)
+    if number < 0:
+        return prim, t, along, curved
+    found = rounds.first + number
+    if objects.medium[objects.facets[found].body] == OPAQUE:
+        return found, nearest, steepness, (-1, nearest, 0.0, 0.0, 1.0)
+    x, y, z = point_along(ray, nearest)
+    nx, ny, nz = round_normal(rounds.faces[number], x, y, z)
+    return found, nearest, steepness, (found, nearest, nx, ny, nz)
 
 
 @inlined
@@ -328,7 +375,7 @@ def _follow_shadow(space: ObjectSpace, lens: LensTables, packet: Any, met: Met) 
     elif packet.light == TO_FACET:
         reach = met.t
         # A scattered packet that comes to the lens first goes into it, and keeps its full weight.
-        if not is_reached(objects, packet, met.prim) or _enters_lens(space.frames, lens, packet, reach):
+        if not is_reached(objects, packet, met.prim, met.t) or _enters_lens(space.frames, lens, packet, reach):
             return
     else:
         reach = way_through_media(space, lens, packet, met)
@@ -401,7 +448,7 @@ def _first_crossing(objects: ObjectTables, packet: Any) -> tuple[int, float, flo
             body = objects.facets[prim].body
             glass = body >= 0 and objects.medium[body] != OPAQUE
             if (glass or t > 0.0) and _in_its_medium(objects, packet, prim, t, along):
-                if _is_sheer(objects, body) and passes(objects, packet, prim, t):
+                if _is_sheer(objects, body) and passes(objects, packet, prim, t, along):
                     continue
                 first, nearest, steepness = prim, t, along
     return first, nearest, steepness

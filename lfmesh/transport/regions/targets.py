@@ -118,11 +118,12 @@ def meet_target(space: ObjectSpace, packet: Any, prim: int, x: float, y: float, 
 
 
 @kernel
-def passes(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
+def passes(objects: ObjectTables, packet: Any, prim: int, t: float, along: float) -> bool:
     """Tell whether a packet passes through a facet of a target that is not opaque.
 
-    The random number belongs to the packet, its kind and light, its event and the facet: asked again, the answer is the
-    same. A packet and those that it sends to lights share key and event, but must not share their luck.
+    The random number belongs to the packet, its kind and light, its event and the facet, and to the side of a round
+    face, which a packet may cross twice: asked again, the answer is the same. A packet and those that it sends to
+    lights share key and event, but must not share their luck.
 
     Parameters
     ----------
@@ -131,10 +132,13 @@ def passes(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
         Facet.
     t : float, mm
         Distance at which the packet meets it.
+    along : float
+        The facet's normal · the packet's direction.
     """
     x, y, z = packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
     kind = packet.kind + packet.light if packet.kind == SHADOW else packet.kind
-    chance = uniform(derived(packet.key, FACETS + KINDS * prim + kind), packet.events * DIMENSIONS_PER_EVENT + PASS)
+    number = prim + len(objects.facets) if along > 0.0 and objects.facets[prim].size == 0.0 else prim
+    chance = uniform(derived(packet.key, FACETS + KINDS * number + kind), packet.events * DIMENSIONS_PER_EVENT + PASS)
     return chance >= opacity_at(objects, prim, x, y, z)
 
 

@@ -71,7 +71,7 @@ class Met(NamedTuple):
     t : float, mm
         Its distance; inf if none.
     on_patch : bool
-        The distance is that of the facet's curved patch.
+        The distance is that of the facet's curved patch, or of a round face of glass.
     """
 
     prim: int

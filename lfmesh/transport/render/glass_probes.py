@@ -253,6 +253,9 @@ def _events(world: World, nodes: NDArray[np.void], glass: NDArray[np.bool_]) -> 
     """Return a number for the body, its face and the kind of each vertex on glass; 0 for others."""
     face = np.zeros(len(nodes), np.int64)
     for body in np.unique(nodes["part"][glass]):
+        if world.targets[body].round is not None:
+            # Its one bent face bends neighbouring ways alike.
+            continue
         mine = np.flatnonzero(glass & (nodes["part"] == body))
         corners = world.targets[body].mesh.vertices[world.targets[body].mesh.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -34,7 +34,7 @@ from lfmesh.transport.paths.automaton import (
 from lfmesh.transport.paths.estimators import Estimator, lamps_on_camera
 from lfmesh.transport.render.glass_aim import glass_aim, has_glass, refuse_unaimed
 from lfmesh.transport.settings import options_of, with_thinning
-from lfmesh.transport.tables.objects import aimed_at_camera, aimed_at_glass
+from lfmesh.transport.tables.forward_sources import aimed_at_camera, aimed_at_glass
 from lfmesh.transport.tables.particles import ParticleTables
 from lfmesh.transport.tables.scattering import LAMBERTIAN, ScatteringTables
 from lfmesh.transport.tables.tables import ObjectTables, Tables

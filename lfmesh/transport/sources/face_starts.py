@@ -71,17 +71,22 @@ def _on_lens(world: World, points: Array) -> Array:
 
 
 def _on_glass(world: World, points: Array) -> Array:
-    """Return the numbers of the points (n, 3), world frame, that lie on a facet of a body of glass."""
+    """Return the numbers of the points (n, 3), world frame, that lie on the surface of a body of glass."""
     found = [np.zeros(0, np.int64)]
     for body in np.flatnonzero(world.tables.objects.rank):
-        mesh = world.targets[body].mesh
-        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        target = world.targets[body]
+        low, high = target.box_mm
         hair = ON_FACE * float((high - low).sum())
         inside = ((points >= low - hair) & (points <= high + hair)).all(axis=1)
         near = np.flatnonzero(inside)
         if not len(near):
             continue
         places, of_point = np.unique(points[near], axis=0, return_inverse=True)
+        if target.round is not None:
+            on = target.round.distance_mm(places) <= _grain(places, hair)
+            found.append(near[on[of_point.reshape(-1)]])
+            continue
+        mesh = target.mesh
         corners, normals = mesh.vertices[mesh.faces], facet_normals(mesh)[0]
         rows = max(1, MOST_AT_ONCE // len(corners))
         on = np.concatenate(

@@ -43,7 +43,8 @@ def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_], facets: int) -> tu
     near_mm : float
     """
     none = np.zeros(0, np.int64)
-    glass = np.flatnonzero(is_glass)
+    # Round bodies have no mesh: where they lie on others, they are refused.
+    glass = np.array([i for i in np.flatnonzero(is_glass) if len(meshes[i].faces)], np.int64)
     if len(glass) < 2:
         return none, none, 0.0
     begins = np.concatenate([[0], np.cumsum([len(mesh.faces) for mesh in meshes])])

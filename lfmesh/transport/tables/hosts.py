@@ -25,10 +25,12 @@ class Hosts(NamedTuple):
     medium: Numbers  # (targets,) number of the medium; OPAQUE for other targets
     media: Media
     corners: list[Array]  # (m, 3, 3) mm, world frame, of the facets of each body; none of other targets
+    boxes: list[Array]  # (2, 3) mm, world frame, lowest and highest corner of each target
 
     def box_mm(self, body: int) -> tuple[Array, Array]:
         """Return the lowest and the highest corner of a body, world frame."""
-        return self.corners[body].min(axis=(0, 1)), self.corners[body].max(axis=(0, 1))
+        low, high = self.boxes[body]
+        return low, high
 
     def index_of(self, body: int | None) -> Array:
         """Return the refractive index of a body, None for what bodies stand in, at each wavelength."""
@@ -125,4 +127,4 @@ def hosts_of(scene: Scene, targets: list[TargetMesh], ranks: Numbers, medium: Nu
         target.mesh.vertices[target.mesh.faces] if rank else np.zeros((0, 3, 3))
         for target, rank in zip(targets, bodies, strict=True)
     ]
-    return Hosts(names, bodies, medium, media, corners)
+    return Hosts(names, bodies, medium, media, corners, [target.box_mm for target in targets])

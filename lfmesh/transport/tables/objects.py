@@ -8,7 +8,7 @@ from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.meshes.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.meshes.mesh import FACET, Array, Mesh, facet_normals, facet_table, joined
 from lfmesh.geometry.meshes.patch_tree import patch_tree
-from lfmesh.geometry.objects.round_faces import ROUND, RoundFaces, round_faces
+from lfmesh.geometry.objects.round_faces import ROUND, RoundFaces, boxes_of, round_faces
 from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.geometry.objects.texture import Texture, is_grey
 from lfmesh.geometry.surfaces.bends import rim_hull
@@ -18,13 +18,14 @@ from lfmesh.scene import Scene
 from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
-from lfmesh.transport.tables.contacts import contacts, touching_mm
-from lfmesh.transport.tables.emitting_facets import emitter_table, mean_emissions, no_emitters
+from lfmesh.transport.tables.contacts import CUT, contacts, touching_mm
+from lfmesh.transport.tables.emitting_facets import emitter_table, no_emitters
 from lfmesh.transport.tables.facet_models import facet_models
+from lfmesh.transport.tables.forward_sources import sources_of
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.hosts import Hosts, hosts_of
 from lfmesh.transport.tables.lens import curved
-from lfmesh.transport.tables.lights import MM2, light_tables, power_towards
+from lfmesh.transport.tables.lights import light_tables
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.single_scatter import single_scatter_tables
@@ -32,17 +33,14 @@ from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
 from lfmesh.transport.tables.tables import (
     AIR,
     BY_ALPHA,
-    FIRST_VOLUME,
     OPAQUE,
-    ROUGH,
     SOURCE,
     GlassTables,
     Interfaces,
-    LensTables,
     ObjectTables,
 )
 from lfmesh.transport.tables.varied_gloss import VariedGloss
-from lfmesh.transport.tables.volumes import Volumes, reach_of, volume_tables
+from lfmesh.transport.tables.volumes import reach_of, volume_tables
 
 
 def middle_of(targets: list[TargetMesh]) -> Array:
@@ -151,7 +149,7 @@ def object_tables(
         first,
         partners,
         near,
-        _boxes(parts, ranks > 0, level),
+        _boxes(parts, rounds, ranks > 0, level),
         _emitters_inside(scene, targets, hosts),
         models.in_media,
     )
@@ -199,8 +197,7 @@ def object_tables(
         rounds=rounds,
     )
     tables = with_volumes(tables, scene, targets, moves, book, lines)
-    sources = _sources([*_lamps(tables), *_emitting_facets(tables, mesh), *_emitting_volumes(scene, tables.volumes)])
-    return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
+    return mesh, tables._replace(emitters=emitter_table(tables), sources=sources_of(scene, tables, mesh))
 
 
 def _rounds(targets: list[TargetMesh], to_object: Array, first: int) -> RoundFaces | None:
@@ -267,12 +264,16 @@ def _emitters_inside(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> N
     return np.array(found, np.bool_)
 
 
-def _boxes(bodies: list[Mesh], is_glass: NDArray[np.bool_], level: NDArray[np.int64]) -> Array:
+def _boxes(
+    bodies: list[Mesh], rounds: RoundFaces | None, is_glass: NDArray[np.bool_], level: NDArray[np.int64]
+) -> Array:
     """Return the corners of the boxes that surely hold bodies of glass, (n, 2, 3) mm; of other targets zeros.
 
     Parameters
     ----------
     bodies : list of Mesh
+    rounds : RoundFaces or None
+        Those of bodies without a mesh.
     is_glass : (n,) bool
     level : (n,) int64
         Surface level of each.
@@ -280,6 +281,12 @@ def _boxes(bodies: list[Mesh], is_glass: NDArray[np.bool_], level: NDArray[np.in
     boxes = np.zeros((len(bodies), 2, 3))
     for i in np.flatnonzero(is_glass):
         body = bodies[i]
+        if rounds is not None and not len(body.faces):
+            low, high = (end for end in boxes_of(rounds.faces[rounds.faces["body"] == i]))
+            low, high = low.min(axis=0), high.max(axis=0)
+            slack = CUT * float((high - low).max())
+            boxes[i] = low - slack, high + slack
+            continue
         slack = touching_mm([body])
         if level[i] == PATCH:
             corners = body.vertices[body.faces]
@@ -373,117 +380,3 @@ def _refuse_touched_finishes(scene: Scene, bodies: NDArray[np.int64], first: NDA
                 f"targets[{i}].refractor.finish = {glass.finish.in_words()}: a rough body must not touch another body "
                 "of glass; leave a gap between them, or polish it"
             )
-
-
-def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
-    """Return tables with which the forward method starts packets from lamps alone, aimed at the glass.
-
-    None where no packet need start: without lamps, without smooth glass, or without anything that scatters.
-    """
-    glass, rough, facets = _glass(objects)
-    used = objects.model[np.append(~glass, False)[objects.facets["body"]]]
-    black = objects.scattering.models["black"][used].all() and not rough.any()
-    in_fog = objects.volumes is not None and objects.volumes.scatters
-    if not len(objects.lamps.rows) or not facets.any() or (black and not in_fog):
-        return None
-    return _aimed_at(objects, objects.facets["corners"][facets].reshape(-1, 3))
-
-
-def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> ObjectTables | None:
-    """Return tables with which the forward method starts packets from lamps alone, aimed at the front of the lens.
-
-    Smooth glass in object space may bend light into the lens, so that it is aimed at too. None without lamps.
-
-    Parameters
-    ----------
-    objects : ObjectTables
-    lens : LensTables
-    frames : (6, 6, 3, 4) float64
-        See `frame_table`.
-    """
-    if not len(objects.lamps.rows):
-        return None
-    front = lens.facets["corners"][lens.facets["body"] == 0].reshape(-1, 3)
-    move = frames[CAMERA_FRAME, OBJECT_FRAME]
-    front = front @ move[:, :3].T + move[:, 3]
-    return _aimed_at(objects, np.vstack([front, objects.facets["corners"][_glass(objects)[2]].reshape(-1, 3)]))
-
-
-def _glass(objects: ObjectTables) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Tell which bodies are of glass and which of these are rough, and which facets are of smooth glass."""
-    glass = objects.medium != OPAQUE
-    # A body's row with what it stands in tells whether it is rough.
-    rough = np.zeros(len(glass), np.bool_)
-    if objects.glass is not None:
-        kinds = objects.glass.interfaces.rows["kind"].reshape(len(glass), len(objects.media.indices))
-        rough = glass & (kinds[:, AIR] >= ROUGH)
-    return glass, rough, np.append(glass & ~rough, False)[objects.facets["body"]]
-
-
-def _aimed_at(objects: ObjectTables, corners: Array) -> ObjectTables:
-    """Return tables whose only sources are lamps, aimed at the sphere round some points, mm, object frame."""
-    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-    radius = float(np.linalg.norm(corners - middle, axis=1).max())
-    objects = objects._replace(lit_middle=middle, lit_radius=radius)
-    return objects._replace(sources=_sources(_lamps(objects)))
-
-
-Entry = tuple[int, int, float, float]
-"""Light (or −1), facet (or −1), power towards the sphere that is aimed at, whole power, W."""
-
-
-def _lamps(objects: ObjectTables) -> list[Entry]:
-    """Return the sources of the lights: power towards the sphere that is aimed at, and whole power."""
-    middle, radius = objects.lit_middle, objects.lit_radius
-    return [(i, -1, *power_towards(light, middle, radius)) for i, light in enumerate(objects.lamps.rows)]
-
-
-def _emitting_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
-    """Return the sources of emitting targets, one for each facet."""
-    entries = []
-    emission = mean_emissions(objects)
-    most = np.maximum(emission[:, 0], emission.sum(axis=1)).max(axis=1, initial=0.0)
-    largest = objects.radiance.max(axis=1, initial=0.0)
-    areas = facet_normals(mesh)[1]
-    if objects.rounds is not None:
-        areas = np.append(areas, objects.rounds.faces["area"])
-    for facet in np.flatnonzero(np.append(most > 0.0, False)[objects.facets["body"]]):
-        body = objects.facets["body"][facet]
-        area, sides = np.pi * areas[facet] * MM2, 1.0 if objects.one_sided[body] else 2.0
-        entries.append((-1, int(facet), most[body] * area, largest[body] * area * sides))
-    return entries
-
-
-def _emitting_volumes(scene: Scene, volumes: Volumes | None) -> list[Entry]:
-    """Return the sources of emitting media.
-
-    Raises
-    ------
-    SceneError
-        The forward method would have to start light all over a medium without bounds.
-    """
-    entries: list[Entry] = []
-    if volumes is None:
-        return entries
-    for number in range(len(scene.media)):
-        power = float(volumes.powers[number])
-        if np.isfinite(power) and power > 0.0:
-            entries.append((-1, FIRST_VOLUME - number, power, power))
-        elif power > 0.0 and scene.transport.method == "forward":
-            raise SceneError(
-                f'media[{number}]: emits without bounds, where method = "forward" cannot start light; give it bounds, '
-                'or take method = "adjoint"'
-            )
-    return entries
-
-
-def _sources(entries: list[Entry]) -> NDArray[np.void]:
-    """Return the table of forward sources; their shares of the packets follow the power towards the targets."""
-    table = np.zeros(len(entries), SOURCE)
-    if entries:
-        table["light"], table["facet"], table["share"], table["power"] = zip(*entries, strict=True)
-        reaching = table["share"].sum()
-        # Where no power reaches the sphere, all get equal shares: the ledger books their power all the same.
-        table["share"] = table["share"] / reaching if reaching > 0.0 else 1.0 / len(table)
-        table["until"] = np.cumsum(table["share"])
-    return table

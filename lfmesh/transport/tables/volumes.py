@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.shell_tree import tree_of
-from lfmesh.geometry.objects.primitives import box_of_glass, primitive
+from lfmesh.geometry.objects.primitives import primitive
 from lfmesh.geometry.objects.refractors import bounding_mesh
 from lfmesh.geometry.voxels import VoxelGrid, read_voxels
 from lfmesh.kernels.by_address import by_address
@@ -369,7 +369,7 @@ def _boundary(row: np.void, shell: Array | None) -> Array | None:
     if row["cells"][0] == 0 and shell is not None:
         return shell
     low, high = corners[0], corners[-1]
-    mesh = box_of_glass(tuple((high - low).tolist()))
+    mesh = primitive(Box(size_mm=tuple((high - low).tolist()))).mesh
     if row["cells"][0] == 0 and row["bounds"] == SPHERE:
         mesh = primitive(Sphere(radius_mm=float(row["size"][0]))).mesh
     elif row["cells"][0] == 0 and row["bounds"] == CYLINDER:

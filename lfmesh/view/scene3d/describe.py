@@ -144,7 +144,8 @@ def _sensor(world: World) -> Rows:
 def _target(world: World, number: int) -> Rows:
     target = world.scene.targets[number]
     glass = target.refractor
-    what = str(target.shape.kind if target.shape else target.file or (glass and glass.file) or "box")
+    shape = target.shape if glass is None else glass.solid
+    what = str(shape.kind if shape is not None else target.file or (glass and glass.file))
     rows = [("target", f"{target.name or f'targets[{number}]'}, {what}")]
     rows += [("position", " ".join(f"{value:g}" for value in target.position_mm) + " mm")]
     if target.refractor is not None:

@@ -1,10 +1,12 @@
 """Rays meet spheres, cylinders and disks themselves: against plain formulas, without a tree, of every face alone."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image as Picture
 from scipy import stats
 
 import lfmesh as lf
@@ -60,7 +62,7 @@ def many(count: int) -> list[RoundBody]:
 def meet(rounds: RoundFaces, starts: Array, ways: Array, left: NDArray[np.int64], found: Array) -> None:
     for i in range(len(starts)):
         ray = Ray(starts[i, 0], starts[i, 1], starts[i, 2], ways[i, 0], ways[i, 1], ways[i, 2])
-        found[i, 0], found[i, 1], found[i, 2] = first_round(rounds, ray, left[i], np.inf)
+        found[i, 0], found[i, 1], found[i, 2] = first_round(rounds, None, ray, left[i], np.inf)
 
 
 @kernel
@@ -249,12 +251,25 @@ def test_a_picture_lies_on_a_round_target_as_on_its_mesh(kind: str) -> None:
     assert (exact.closed, exact.alpha) == (meshed.closed, meshed.alpha)
 
 
-@pytest.mark.parametrize("changed", [{"targets[0].material.opacity": 0.5}, {"transport.surface": "flat"}])
-def test_a_sheer_target_and_flat_facets_have_a_mesh(changed: dict[str, Any]) -> None:
+def test_flat_facets_have_a_mesh_and_a_sheer_target_has_none() -> None:
     scene = lf.Scene(camera=camera_without_array(), targets=[{"shape": SHAPES["sphere"].model_dump()}])
     assert target_body(scene.targets[0], scene).round is not None
-    scene = scene.changed(changed)
-    assert target_body(scene.targets[0], scene).round is None
+    assert target_body(scene.targets[0], scene.changed({"transport.surface": "flat"})).round is None
+    sheer = scene.changed({"targets[0].material.opacity": 0.5})
+    assert target_body(sheer.targets[0], sheer).round is not None
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_the_alpha_of_a_picture_lies_on_a_round_target_as_on_its_mesh(kind: str, tmp_path: Path) -> None:
+    alpha = np.random.default_rng(3).integers(0, 255, (8, 12, 4)).astype(np.uint8)
+    Picture.fromarray(alpha).save(tmp_path / "lace.png")
+    material = {"texture": "lace.png", "opacity": "texture_alpha"}
+    target = {"shape": SHAPES[kind].model_dump(), "material": material}
+    scene = lf.Scene(camera=camera_without_array(), targets=[target]).in_folder(tmp_path)
+    exact, meshed = target_body(scene.targets[0], scene), target_mesh(scene.targets[0], scene)
+    assert exact.round is not None
+    np.testing.assert_array_equal(exact.texture, meshed.texture)
+    np.testing.assert_array_equal(exact.alpha, meshed.alpha)
 
 
 def test_the_mesh_of_a_round_body_is_made_once() -> None:

@@ -27,7 +27,7 @@ KEY = np.uint64(5)
 def volumes_of(*media: dict[str, Any], folder: Path | None = None, **changes: Any) -> Volumes:
     scene = Scene(camera=camera_without_array(), media=media, **changes)  # type: ignore[arg-type]
     lines, none = Lines.of(scene), np.zeros(0, np.int64)
-    air = Hosts([], none, none, Media(np.ones((1, len(lines.wavelengths_nm)))), [])
+    air = Hosts([], none, none, Media(np.ones((1, len(lines.wavelengths_nm)))), [], [])
     found, _ = volume_tables(scene.in_folder(folder or "."), MOVES, lines, np.arange(len(media)), air)
     assert found is not None
     return found

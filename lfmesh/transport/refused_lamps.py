@@ -1,0 +1,107 @@
+"""Refuse bodies of glass in object space round the camera or a lamp, both of which must stand in air."""
+
+import numpy as np
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry.meshes.mesh import Array, crossings
+from lfmesh.geometry.objects.primitives import RINGS
+from lfmesh.geometry.objects.targets import TargetMesh, named_target
+from lfmesh.scene import Light, Scene
+from lfmesh.scene.light.region import Region
+from lfmesh.transport.tables.contacts import CUT
+
+Bodies = dict[int, TargetMesh]
+"""Bodies of glass by the numbers of their targets."""
+
+
+def refuse_camera_and_lamps_inside(scene: Scene, bodies: Bodies, front: Array) -> None:
+    """Refuse glass that encloses the camera's first surface, a lamp or a part of one.
+
+    Parameters
+    ----------
+    scene : Scene
+    bodies : dict of TargetMesh
+        The first of several that hold a point is named.
+    front : (n, 3) float64, mm
+        Points of the camera's first surface, world frame.
+
+    Raises
+    ------
+    SceneError
+        Naming the body.
+    """
+    body = _holding(bodies, front)
+    if body is not None:
+        raise SceneError(
+            f"{named_target(scene, body)}: the camera's first surface stands inside this glass; the camera must stand "
+            "in air: move the body away, or give it a hollow round the camera, a surface that faces inwards"
+        )
+    for number, light in enumerate(scene.lights):
+        near = {i: each for i, each in bodies.items() if _reaches(each.box_mm, light.region)}
+        if near:
+            _refuse_lamp_inside(scene, near, number, light)
+
+
+def _reaches(box: Array, region: Region | None) -> bool:
+    """Tell whether a lamp may reach into a box, given by its lowest and highest coordinates (2, 3)."""
+    if region is None:
+        return False
+    (low, high), middle, size = box, region.centre_mm, region.size_mm
+    return bool((middle + size >= low).all() and (middle - size <= high).all())
+
+
+def _refuse_lamp_inside(scene: Scene, bodies: Bodies, number: int, light: Light) -> None:
+    """Refuse a lamp in glass, with its middle or with any part of it: then a surface of the glass passes through it."""
+    region = light.region
+    if region is None:
+        return
+    body = _holding(bodies, region.centre_mm[None])
+    if body is None and region.size_mm > 0.0:
+        body = next((i for i, each in bodies.items() if _meets(each, region)), None)
+    if body is not None:
+        raise SceneError(
+            f"lights[{number}].{light.place_in_words} lies inside {named_target(scene, body)}; a lamp must stand in "
+            "air: move it, or give the body a hollow round it, a surface that faces inwards"
+        )
+
+
+def _meets(body: TargetMesh, region: Region) -> bool:
+    """Tell whether a lamp with a size, whose middle is outside a body, reaches into its glass, deeper than contact.
+
+    A round body is taken as a mesh that encloses it, 7e-4 of its radius larger at most.
+    """
+    mesh = body.mesh if body.round is None else body.round.hull(RINGS)
+    facets = mesh.vertices[mesh.faces]
+    low, high = facets.min(axis=(0, 1)), facets.max(axis=(0, 1))
+    if (np.abs(0.5 * (low + high) - region.centre_mm) > 0.5 * (high - low) + region.size_mm).any():
+        return False
+    deep = CUT * min(float((high - low).max()), region.size_mm)
+    ends = region.corners_mm
+    if len(ends) == 2:
+        # Whether the line is in glass changes only where it meets the surface.
+        shares, inside = crossings(facets, *ends)
+        places = np.unique([0.0, *shares[inside], 1.0])
+        middles = 0.5 * (places[1:] + places[:-1])[np.diff(places) * region.size_mm > deep]
+        return bool(body.holds(ends[0] + middles[:, None] * (ends[1] - ends[0])).any())
+    # Facets that pass through the plane of the lamp, and the segments in which they do.
+    normal = np.cross(*region.half_mm)
+    height = (facets - region.centre_mm) @ (normal / np.linalg.norm(normal))
+    passes = (height.min(axis=1) < -deep) & (height.max(axis=1) > deep)
+    facets, height = facets[passes], height[passes]
+    # The corner that is alone on its side comes first: both edges from there meet the plane.
+    above = height > 0.0
+    alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
+    order = (alone[:, None] + np.arange(3)) % 3
+    facets, height = (np.take_along_axis(each, index, axis=1) for each, index in (
+        (facets, order[:, :, None]), (height, order)
+    ))  # fmt: skip
+    start, end = (
+        facets[:, 0] + (height[:, 0] / (height[:, 0] - height[:, k]))[:, None] * (facets[:, k] - facets[:, 0])
+        for k in (1, 2)
+    )
+    return bool(region.holds(start, end, np.full(len(facets), deep)).any())
+
+
+def _holding(bodies: Bodies, points: Array) -> int | None:
+    """Return the body that any of the points lies in; of several the one that comes first."""
+    return next((i for i, body in bodies.items() if body.holds(points).any()), None)

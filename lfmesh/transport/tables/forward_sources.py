@@ -1,0 +1,155 @@
+"""Sources of forward packets: lamps, emitting facets and media, and the sphere that lamps are aimed at."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_normals
+from lfmesh.geometry.objects.round_faces import FLAT, ROUND, WALL, boxes_of
+from lfmesh.scene import Scene
+from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME
+from lfmesh.transport.tables.emitting_facets import mean_emissions
+from lfmesh.transport.tables.lights import MM2, power_towards
+from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, OPAQUE, ROUGH, SOURCE, LensTables, ObjectTables
+from lfmesh.transport.tables.volumes import Volumes
+
+Entry = tuple[int, int, float, float]
+"""Light (or −1), facet (or −1), power towards the sphere that is aimed at, whole power, W."""
+
+
+def sources_of(scene: Scene, objects: ObjectTables, mesh: Mesh) -> NDArray[np.void]:
+    """Return the sources of a scene, (n,) SOURCE.
+
+    Parameters
+    ----------
+    scene : Scene
+    objects : ObjectTables
+        All but the sources.
+    mesh : Mesh
+        Of targets and housing, object frame.
+
+    Raises
+    ------
+    SceneError
+        The forward method would have to start light all over a medium without bounds.
+    """
+    entries = [*_lamps(objects), *_emitting_facets(objects, mesh), *_emitting_volumes(scene, objects.volumes)]
+    return _sources(entries)
+
+
+def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
+    """Return tables with which the forward method starts packets from lamps alone, aimed at the glass.
+
+    None where no packet need start: without lamps, without smooth glass, or without anything that scatters.
+    """
+    glass, rough, facets = _glass(objects)
+    used = objects.model[np.append(~glass, False)[objects.facets["body"]]]
+    black = objects.scattering.models["black"][used].all() and not rough.any()
+    in_fog = objects.volumes is not None and objects.volumes.scatters
+    if not len(objects.lamps.rows) or not facets.any() or (black and not in_fog):
+        return None
+    return _aimed_at(objects, facets, np.zeros((0, 3)))
+
+
+def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> ObjectTables | None:
+    """Return tables with which the forward method starts packets from lamps alone, aimed at the front of the lens.
+
+    Smooth glass in object space may bend light into the lens, so that it is aimed at too. None without lamps.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    lens : LensTables
+    frames : (6, 6, 3, 4) float64
+        See `frame_table`.
+    """
+    if not len(objects.lamps.rows):
+        return None
+    front = lens.facets["corners"][lens.facets["body"] == 0].reshape(-1, 3)
+    move = frames[CAMERA_FRAME, OBJECT_FRAME]
+    front = front @ move[:, :3].T + move[:, 3]
+    return _aimed_at(objects, _glass(objects)[2], front)
+
+
+def _glass(objects: ObjectTables) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell which bodies are of glass and which of these are rough, and which facets are of smooth glass."""
+    glass = objects.medium != OPAQUE
+    # A body's row with what it stands in tells whether it is rough.
+    rough = np.zeros(len(glass), np.bool_)
+    if objects.glass is not None:
+        kinds = objects.glass.interfaces.rows["kind"].reshape(len(glass), len(objects.media.indices))
+        rough = glass & (kinds[:, AIR] >= ROUGH)
+    return glass, rough, np.append(glass & ~rough, False)[objects.facets["body"]]
+
+
+def _aimed_at(objects: ObjectTables, facets: NDArray[np.bool_], points: Array) -> ObjectTables:
+    """Return tables whose only sources are lamps, aimed at a sphere round some facets and points, mm, object frame."""
+    met = facets if objects.rounds is None else facets[: objects.rounds.first]
+    ends = [points, objects.facets["corners"][: len(met)][met].reshape(-1, 3)]
+    faces = np.zeros(0, ROUND) if objects.rounds is None else objects.rounds.faces[facets[objects.rounds.first :]]
+    # The wall of a cylinder reaches as far as its ends.
+    faces = faces[faces["kind"] != FLAT]
+    corners = np.vstack([*ends, *boxes_of(faces)])
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    reach = np.where(faces["kind"] == WALL, np.hypot(faces["radius"], faces["half"]), faces["radius"])
+    far = np.linalg.norm(faces["centre"] - middle, axis=1) + reach
+    radius = max(float(each.max(initial=0.0)) for each in (np.linalg.norm(np.vstack(ends) - middle, axis=1), far))
+    objects = objects._replace(lit_middle=middle, lit_radius=radius)
+    return objects._replace(sources=_sources(_lamps(objects)))
+
+
+def _lamps(objects: ObjectTables) -> list[Entry]:
+    """Return the sources of the lights: power towards the sphere that is aimed at, and whole power."""
+    middle, radius = objects.lit_middle, objects.lit_radius
+    return [(i, -1, *power_towards(light, middle, radius)) for i, light in enumerate(objects.lamps.rows)]
+
+
+def _emitting_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
+    """Return the sources of emitting targets, one for each facet."""
+    entries = []
+    emission = mean_emissions(objects)
+    most = np.maximum(emission[:, 0], emission.sum(axis=1)).max(axis=1, initial=0.0)
+    largest = objects.radiance.max(axis=1, initial=0.0)
+    areas = facet_normals(mesh)[1]
+    if objects.rounds is not None:
+        areas = np.append(areas, objects.rounds.faces["area"])
+    for facet in np.flatnonzero(np.append(most > 0.0, False)[objects.facets["body"]]):
+        body = objects.facets["body"][facet]
+        area, sides = np.pi * areas[facet] * MM2, 1.0 if objects.one_sided[body] else 2.0
+        entries.append((-1, int(facet), most[body] * area, largest[body] * area * sides))
+    return entries
+
+
+def _emitting_volumes(scene: Scene, volumes: Volumes | None) -> list[Entry]:
+    """Return the sources of emitting media.
+
+    Raises
+    ------
+    SceneError
+        The forward method would have to start light all over a medium without bounds.
+    """
+    entries: list[Entry] = []
+    if volumes is None:
+        return entries
+    for number in range(len(scene.media)):
+        power = float(volumes.powers[number])
+        if np.isfinite(power) and power > 0.0:
+            entries.append((-1, FIRST_VOLUME - number, power, power))
+        elif power > 0.0 and scene.transport.method == "forward":
+            raise SceneError(
+                f'media[{number}]: emits without bounds, where method = "forward" cannot start light; give it bounds, '
+                'or take method = "adjoint"'
+            )
+    return entries
+
+
+def _sources(entries: list[Entry]) -> NDArray[np.void]:
+    """Return the table of forward sources; their shares of the packets follow the power towards the targets."""
+    table = np.zeros(len(entries), SOURCE)
+    if entries:
+        table["light"], table["facet"], table["share"], table["power"] = zip(*entries, strict=True)
+        reaching = table["share"].sum()
+        # Where no power reaches the sphere, all get equal shares: the ledger books their power all the same.
+        table["share"] = table["share"] / reaching if reaching > 0.0 else 1.0 / len(table)
+        table["until"] = np.cumsum(table["share"])
+    return table

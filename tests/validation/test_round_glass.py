@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
+from lfmesh.assets import asset_path
 from lfmesh.optics.fresnel import fresnel
 from tests.cameras import camera_without_array
 from tests.renders import by_seed, unchecked
@@ -245,6 +246,85 @@ def test_forward_equals_adjoint_through_a_ball() -> None:
     # So a difference of some 7 % would show.
     assert stats.sem(one) / np.mean(one) < 0.02
     assert stats.sem(other) / np.mean(other) < 0.02
+
+
+@pytest.mark.parametrize("shape", [BALL, ROD], ids=["ball", "rod"])
+def test_a_medium_in_round_glass_weakens_light_along_its_chord(shape: dict[str, Any]) -> None:
+    """By exp(−κ s) with s = 2 R cos r, as its glass does, to rounding: the medium ends at the exact surface."""
+    kappa, heights = 0.07, np.linspace(-0.999, 0.999, 101) * RADIUS
+    body = glass(shape, turned=(90.0, 0.0, 0.0)) | {"name": "ball"}
+    dye = {"inside": "ball", "absorption_per_mm": 0.5 * kappa}
+    lost = {"inside": "ball", "scattering_per_mm": 0.5 * kappa}
+    stained = {"refractor": body["refractor"] | {"absorption_per_mm": kappa}}
+    scene = lf.Scene(camera=camera_without_array(), targets=[body])
+    chord = 2.0 * RADIUS * np.sqrt(1.0 - (heights / (GLASS * RADIUS)) ** 2)
+    clear = sent(lf.build(scene, aimed=False), *parallel(heights))
+    for changes in ({"media": [dye, lost]}, {"targets": [body | stained]}):
+        paths = sent(lf.build(scene.changed(changes), aimed=False), *parallel(heights))
+        straight = paths.events == 2
+        ends = np.bincount(paths.source[straight], paths.weight[straight], minlength=len(heights))
+        np.testing.assert_allclose(ends / clear.weight, np.exp(-kappa * chord), rtol=1e-11)
+
+
+def test_forward_equals_adjoint_of_a_glow_in_a_ball() -> None:
+    """Welch's test of the sum of the pixels; light is drawn in the ball alone, up to its exact surface."""
+    ball = glass({"kind": "sphere", "radius_mm": 3.0}, 1.3, at=(1.0, 0.5, -52.0)) | {"name": "ball"}
+    glow = {"inside": "ball", "absorption_per_mm": 0.1, "emission_w_mm3_sr": 1e-3}
+    camera = camera_without_array(60.0, 4, 0.5)
+
+    def sums(**transport: Any) -> list[float]:
+        scene = lf.Scene(camera=camera, targets=[ball], media=[glow], transport={"threads": 1, **transport})
+        return [float(image.mean.sum()) for image in by_seed(scene, range(12))]
+
+    one, other = sums(samples=64), sums(method="forward", samples=4096)
+    assert stats.ttest_ind(one, other, equal_var=False).pvalue > LEVEL
+    assert stats.sem(one) / np.mean(one) < 0.02
+    assert stats.sem(other) / np.mean(other) < 0.02
+
+
+def test_a_ball_behind_a_plate_of_glass_is_met_as_in_air() -> None:
+    """Rays square to the plate keep their ways; it lies a thousandth of a millimetre before the ball."""
+    plate = {
+        "refractor": {"box_mm": [40.0, 40.0, 2.0], "index": 1.7},
+        "position_mm": np.add(PLACE, (0.0, 0.0, 6.001)).tolist(),
+    }
+    heights = np.concatenate([np.linspace(-0.9999, 0.9999, 200), [0.0]]) * RADIUS
+    paths = sent(world_of(plate, glass(BALL)), *parallel(heights))
+    place, way, power = through_circle(heights, GLASS)
+    assert (paths.events == 4).all()
+    assert np.abs((paths.position - PLACE)[:, [0, 2]] - place).max() < 1e-9
+    assert np.abs(paths.direction[:, [0, 2]] - way).max() < 1e-11
+    np.testing.assert_allclose(paths.weight, power * fresnel(1.0, 1.7, 1.0)[1] ** 2, rtol=1e-9)
+    for material in ({}, {"opacity": 0.5}):
+        world = world_of(plate, {"shape": BALL, "position_mm": PLACE.tolist(), "material": material})
+        paths = sent(
+            world, *parallel(np.array([-1.0 - 2.5e-7, -1.0 + 2.5e-7, 0.5, 1.0 - 2.5e-7, 1.0 + 2.5e-7]) * RADIUS)
+        )
+        assert (paths.status[[0, 4]] == lf.Status.ESCAPED).all()
+        on = paths.position[paths.status == lf.Status.TARGET] - PLACE
+        np.testing.assert_allclose(np.linalg.norm(on, axis=1), RADIUS, rtol=1e-12)
+        assert len(on) == 3 or material
+
+
+def test_true_depth_is_that_of_a_balls_surface_or_of_what_is_seen_through_it() -> None:
+    lens = {"file": asset_path("lenses/double_gauss_50mm.toml").as_posix(), "stop_semi_diameter_mm": 4.77}
+    array = {"count": (12, 12), "pitch_mm": 0.125, "focal_length_mm": 0.5, "index": 1.5, "thickness_mm": 0.3}
+    camera = {"focus_mm": 500.0, "lens": lens, "mla": array, "sensor": {"pixels": (120, 120), "pixel_mm": 0.0125}}
+    sheet = {"shape": {"kind": "plane", "width_mm": 400.0, "height_mm": 400.0}, "position_mm": [0.0, 0.0, -600.0]}
+    shape, at = {"kind": "sphere", "radius_mm": 12.0}, (0.0, 0.0, -500.0)
+
+    def depth(*bodies: dict[str, Any]) -> Array:
+        scene = lf.Scene(camera=camera, targets=[sheet, *bodies], transport={"threads": 1})
+        return lf.depth_truth(scene, views=1, samples=1).middle_mm
+
+    opaque = depth({"shape": shape, "position_mm": at})
+    assert (opaque >= np.float32(488.0)).all()
+    # Chief rays pass the axis within a lenslet's width in object space, some 1.2 mm.
+    assert opaque.min() < 488.0 + 1.2**2 / 24.0
+    np.testing.assert_allclose(depth(glass(shape, at=at)), 600.0, rtol=1e-6)
+    np.testing.assert_allclose(
+        depth({"shape": shape, "position_mm": at, "material": {"opacity": 0.0}}), 600.0, rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("kind", ["sphere", "cylinder"])

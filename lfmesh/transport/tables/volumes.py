@@ -306,10 +306,16 @@ def _brightness(row: np.void, grid: VoxelGrid | None, absorption: Array, spectru
     Of a trilinear grid each voxel takes the largest value of its neighbours too, so that none that shines in part is
     left out.
     """
-    some = np.unique(np.linspace(0, len(spectrum) - 1, 8).astype(int))
+    # Of the lines at which it shines, so that light of a narrow band is not overlooked.
+    body = absorption if row["emits"] in (OF_BODY, BY_TEMPERATURE) else np.ones_like(spectrum)
+    shines = np.flatnonzero(body * spectrum > 0.0)
+    if not len(shines):
+        return np.zeros(1)
+    some = shines[np.unique(np.linspace(0, len(shines) - 1, 8).astype(int))]
+    # The others count as lines at which nothing shines.
+    count = len(some) * len(spectrum) / len(shines)
     if grid is None or (row["emission"] == NOT_IN_GRID and row["emits"] == PER_VOLUME):
-        body = absorption if row["emits"] == OF_BODY else np.ones_like(spectrum)
-        return np.array([(body * spectrum)[some].mean()])
+        return np.array([(body * spectrum)[some].sum() / count])
     ones = np.ones(grid.shape)
     absorbs = grid.values.get("absorption_per_mm", ones)
     emission = np.zeros(grid.shape)
@@ -328,7 +334,7 @@ def _brightness(row: np.void, grid: VoxelGrid | None, absorption: Array, spectru
             padded = np.pad(emission, [(1, 1) if i == axis else (0, 0) for i in range(3)], mode="edge")
             n = emission.shape[axis]
             emission = np.max([np.take(padded, range(k, k + n), axis) for k in range(3)], axis=0)
-    return emission.ravel() / len(some)
+    return np.asarray(emission.ravel() / count)
 
 
 def _set_bounds(scene: Scene, medium: Medium, row: np.void) -> Array | None:

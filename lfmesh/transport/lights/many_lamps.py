@@ -10,6 +10,7 @@ The estimate of a node is zero only where its bounds show that none of its lamps
 point, or beyond the light of all lamps. That of a single point lamp, and of parallel light, is its irradiance.
 
 Packets are sent past lamps into the light that is scattered near them by another law: the power over the distance.
+There a node counts as one lamp if it is far enough away for all of its lamps to be about as far, and else is opened.
 """
 
 from typing import Any
@@ -40,6 +41,9 @@ SETTLED = 0.5
 
 CLOSEST = 0.125
 """Distance of a node's nearest lamp, over its radius, below which its doubt grows no further."""
+
+FAR = 1.5
+"""Distance of a node from a point, in its radii, above which its lamps count as one when packets are sent past them."""
 
 BELOW_ONE = 1.0 - 2.0**-53
 """Largest random number."""
@@ -157,6 +161,70 @@ def chance_below(lamps: Lamps, number: int, lamp: int, colour: int, place: Place
         number = left if leaf < right else right
         chance *= (one if number == left else other) / (one + other)
     return chance
+
+
+@inlined
+def _counted(lamps: Lamps, number: int, place: Place) -> int:
+    """Return the next node from some number on that counts as one lamp: a lamp, or lamps that are far from a point."""
+    while number < len(lamps.nodes):
+        node = lamps.nodes[number]
+        px, py, pz = node.middle[0] - place[0], node.middle[1] - place[1], node.middle[2] - place[2]
+        reach = FAR * node.radius
+        if node.lamp >= 0 or not node.placed or px * px + py * py + pz * pz > reach * reach:
+            break
+        number += 1
+    return number
+
+
+@kernel
+def passed_lamp(lamps: Lamps, colour: int, place: Place, u: float) -> int:
+    """Draw the lamp past which a point may send a packet, by the brightness of the light round it; −1: there is none.
+
+    Parameters
+    ----------
+    lamps, colour, place
+        As for `drawn_below`.
+    u : float
+        Random number, uniform in [0, 1).
+    """
+    whole, number = 0.0, _counted(lamps, 0, place)
+    while number < len(lamps.nodes):
+        whole += brightness_past(lamps, number, colour, place)
+        number = _counted(lamps, lamps.nodes[number].skip, place)
+    choice, drawn, rest, number = whole * u, -1, 0.0, _counted(lamps, 0, place)
+    while number < len(lamps.nodes):
+        own = brightness_past(lamps, number, colour, place)
+        if own > 0.0 and choice >= 0.0:
+            # What is left of the number is a random number of its own.
+            drawn, rest = number, min(choice / own, BELOW_ONE)
+        choice -= own
+        number = _counted(lamps, lamps.nodes[number].skip, place)
+    if drawn < 0:
+        return -1
+    drawn, chance = drawn_below(lamps, drawn, colour, place, NO_NORMAL, rest, True)
+    return lamps.nodes[drawn].lamp if chance > 0.0 else -1
+
+
+@kernel
+def chance_passed(lamps: Lamps, lamp: int, colour: int, place: Place) -> float:
+    """Return the chance with which `passed_lamp` draws a lamp.
+
+    Parameters
+    ----------
+    lamps, colour, place
+        As for `drawn_below`.
+    lamp : int
+        Number of the lamp.
+    """
+    whole, own, holder, leaf = 0.0, 0.0, 0, lamps.leaf[lamp]
+    number = _counted(lamps, 0, place)
+    while number < len(lamps.nodes):
+        light, after = brightness_past(lamps, number, colour, place), lamps.nodes[number].skip
+        if number <= leaf < after:
+            own, holder = light, number
+        whole += light
+        number = _counted(lamps, after, place)
+    return own / whole * chance_below(lamps, holder, lamp, colour, place) if own > 0.0 else 0.0
 
 
 @inlined

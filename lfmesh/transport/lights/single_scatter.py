@@ -25,7 +25,7 @@ from lfmesh.transport.events.scattering_point import scattered_at, scattering_po
 from lfmesh.transport.events.volume import Line, Passage
 from lfmesh.transport.lights.lamps import LIGHT_DIMENSIONS, illuminate_from
 from lfmesh.transport.lights.lamps_on_line import NARROWEST, lit_part
-from lfmesh.transport.lights.many_lamps import BELOW_ONE, NO_NORMAL, brightness_past, chance_below, drawn_below
+from lfmesh.transport.lights.many_lamps import chance_passed, passed_lamp
 from lfmesh.transport.lights.places import point_of_light
 from lfmesh.transport.lights.shadow import Way, send
 from lfmesh.transport.packets.packet import NO_SURFACE, PAST_LAMP, TO_LAMP, Flow, Options
@@ -178,16 +178,6 @@ def _distance(light: Any, place: tuple[float, float, float]) -> float:
     return np.sqrt(px * px + py * py + pz * pz + light.size * light.size)
 
 
-@kernel
-def _all_brightness(lamps: Lamps, colour: int, place: tuple[float, float, float]) -> float:
-    """Return the sum of what lamps are drawn in proportion to at a point; 0: none has light round it there."""
-    whole, root = 0.0, 0
-    while root < len(lamps.nodes):
-        whole += brightness_past(lamps, root, colour, place)
-        root = lamps.nodes[root].skip
-    return whole
-
-
 @inlined
 def _chance_sent(near_lamps: SingleScatter, colour: int, far: float) -> float:
     """Return the chance that a packet is sent past a lamp: in thin media, the light round it is of little weight."""
@@ -202,14 +192,8 @@ def _chance(
     near_lamps: SingleScatter, lamps: Lamps, number: int, colour: int, place: tuple[float, float, float]
 ) -> float:  # fmt: skip
     """Return the chance with which a point sends a packet past a lamp."""
-    whole, far = _all_brightness(lamps, colour, place), _distance(lamps.rows[number], place)
-    if whole <= 0.0:
-        return 0.0
-    root = 0
-    while lamps.nodes[root].skip <= lamps.leaf[number]:
-        root = lamps.nodes[root].skip
-    of_root = brightness_past(lamps, root, colour, place) / whole * _chance_sent(near_lamps, colour, far)
-    return of_root * chance_below(lamps, root, number, colour, place)
+    far = _distance(lamps.rows[number], place)
+    return _chance_sent(near_lamps, colour, far) * chance_passed(lamps, number, colour, place)
 
 
 @kernel
@@ -217,19 +201,8 @@ def _lamp_drawn(
     near_lamps: SingleScatter, lamps: Lamps, colour: int, place: tuple[float, float, float], key: np.uint64
 ) -> int:  # fmt: skip
     """Return the lamp past which a point sends a packet, drawn by `_chance`; −1: none."""
-    choice, drawn, rest, root = _all_brightness(lamps, colour, place) * uniform(key, LAMP), -1, 0.0, 0
-    while root < len(lamps.nodes):
-        own = brightness_past(lamps, root, colour, place)
-        if own > 0.0 and choice >= 0.0:
-            # What is left of the number is a random number of its own.
-            drawn, rest = root, min(choice / own, BELOW_ONE)
-        choice -= own
-        root = lamps.nodes[root].skip
-    if drawn < 0:
-        return -1
-    drawn, chance = drawn_below(lamps, drawn, colour, place, NO_NORMAL, rest, True)
-    number = lamps.nodes[drawn].lamp
-    if chance <= 0.0 or uniform(key, SENT) >= _chance_sent(near_lamps, colour, _distance(lamps.rows[number], place)):
+    number = passed_lamp(lamps, colour, place, uniform(key, LAMP))
+    if number < 0 or uniform(key, SENT) >= _chance_sent(near_lamps, colour, _distance(lamps.rows[number], place)):
         return -1
     return number
 

@@ -13,12 +13,11 @@ from lfmesh.transport.lights.lamps import illuminate
 from lfmesh.transport.lights.many_lamps import (
     ASKED,
     MOST_NODES,
-    NO_NORMAL,
     OF_MANY,
-    chance_below,
-    drawn_below,
+    chance_passed,
     estimate,
     lamps_to_ask,
+    passed_lamp,
 )
 from lfmesh.transport.packets.packet import PACKET, Options
 from lfmesh.transport.packets.random import derived, run_key, uniform
@@ -136,8 +135,14 @@ def ask(
 @kernel
 def draw_past(lamps: Lamps, place: Any, key: np.uint64, counts: Array) -> None:
     for i in range(100_000):
-        node, chance = drawn_below(lamps, 0, 0, place, NO_NORMAL, uniform(key, i), True)
-        counts[lamps.nodes[node].lamp] += 1.0 if chance > 0.0 else 0.0
+        counts[passed_lamp(lamps, 0, place, uniform(key, i))] += 1.0
+
+
+@kernel
+def chances_past(lamps: Lamps, places: Array, chances: Array) -> None:
+    for i in range(len(places)):
+        for lamp in range(len(lamps.rows)):
+            chances[i, lamp] = chance_passed(lamps, lamp, 0, (places[i, 0], places[i, 1], places[i, 2]))
 
 
 def places_and_normals(count: int, seed: int) -> tuple[Array, Array]:
@@ -208,14 +213,28 @@ def test_a_bright_lamp_among_many_is_surely_asked(options: Options) -> None:
 
 
 def test_lamps_are_passed_as_often_as_their_chance_says(many: Lamps) -> None:
-    place, counts = (3.0, -8.0, 5.0), np.zeros(len(many.rows))
-    draw_past(many, place, run_key(1), counts)
-    chance = [chance_below(many, 0, i, 0, place) if many.rows["placed"][i] else 0.0 for i in range(len(many.rows))]
-    assert sum(chance) == pytest.approx(1.0, rel=1e-12)
-    often = np.array(chance) > 1e-3
-    assert counts[np.array(chance) == 0.0].sum() == 0.0
-    expected = np.append(np.array(chance)[often], 1.0 - np.array(chance)[often].sum()) * 1e5
+    place, counts, chances = np.array([[3.0, -8.0, 5.0]]), np.zeros(len(many.rows)), np.empty((1, len(many.rows)))
+    draw_past(many, tuple(place[0].tolist()), run_key(1), counts)
+    chances_past(many, place, chances)
+    (chance,) = chances
+    assert chance.sum() == pytest.approx(1.0, rel=1e-12)
+    assert (chance[~many.rows["placed"]] == 0.0).all()
+    often = chance > 1e-3
+    assert counts[chance == 0.0].sum() == 0.0
+    expected = np.append(chance[often], 1.0 - chance[often].sum()) * 1e5
     assert stats.chisquare(np.append(counts[often], counts[~often].sum()), expected).pvalue > 1e-3
+
+
+def test_a_lamp_close_to_a_point_is_passed_as_its_light_asks() -> None:
+    """The second moment of the light of one draw, over its squared mean, however near one of a thousand lamps is."""
+    random = np.random.default_rng(1)
+    cube = random.uniform(-50.0, 50.0, (1000, 3))
+    lamps = lamps_of([{"kind": "point", "position_mm": place, "power_w": 1.0} for place in cube.tolist()])
+    for near in (10.0, 1.0, 0.05):
+        places, chances = cube[:20] + near * random.normal(size=(20, 3)), np.empty((20, 1000))
+        chances_past(lamps, places, chances)
+        light = 1.0 / np.linalg.norm(cube - places[:, None], axis=2)
+        assert ((light**2 / chances).sum(axis=1) < 1.2 * light.sum(axis=1) ** 2).all()
 
 
 def test_a_node_bounds_its_lamps_and_has_their_power(many: Lamps) -> None:

@@ -404,9 +404,10 @@ def _thinned(asked: NDArray[np.void], count: int, most: int, u: float) -> int:
             if asked[k].doubt >= 0.0:
                 whole += asked[k].estimate
         for k in range(count):
-            if asked[k].doubt >= 0.0 and left > 0 and asked[k].estimate * left >= whole:
+            if asked[k].doubt >= 0.0 and asked[k].estimate * left >= whole:
+                # The rest is added up anew: beside one that is far brighter, its digits are lost.
                 asked[k].doubt, left, more = -1.0, left - 1, True
-                whole -= asked[k].estimate
+                break
     kept, sum_of_chances = 0, 0.0
     for k in range(count):
         share = 1.0

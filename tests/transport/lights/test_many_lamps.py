@@ -212,6 +212,19 @@ def test_a_bright_lamp_among_many_is_surely_asked(options: Options) -> None:
     assert (found[:, 0] == 1.0).all()
 
 
+def test_lamps_beside_an_extremely_bright_one_keep_their_light(options: Options) -> None:
+    """Of nine lamps round a point one brings 10¹⁸ times the light of the others, and a wall hides it: a z-test."""
+    turns = np.arange(9) * 2.0 * np.pi / 9.0
+    ring = 10.0 * np.column_stack([np.cos(turns), np.sin(turns), np.full(9, 0.5)])
+    lights = [{"kind": "point", "position_mm": place, "power_w": 1e-3} for place in ring.tolist()]
+    lights[3]["power_w"] = 1e15
+    packets, asked, brought = np.zeros(20_000, PACKET), np.zeros(MOST_NODES, ASKED), np.ones(9)
+    packets["key"] = [run_key(i) for i in range(len(packets))]
+    brought[3], found = 0.0, np.empty((len(packets), 2))
+    ask(options, lamps_of(lights), packets, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), brought, asked, found)
+    assert abs(found[:, 0].mean() - 8.0) <= 3.9 * stats.sem(found[:, 0]) + 1e-9
+
+
 def test_lamps_are_passed_as_often_as_their_chance_says(many: Lamps) -> None:
     place, counts, chances = np.array([[3.0, -8.0, 5.0]]), np.zeros(len(many.rows)), np.empty((1, len(many.rows)))
     draw_past(many, tuple(place[0].tolist()), run_key(1), counts)

@@ -70,6 +70,7 @@ DIMENSIONLESS = {
     "optics/ray_aiming.py": {"ARRIVED", "TOLERANCE"},
     "transport/aims/lenslet_view.py": {"ROUNDING"},
     "transport/regions/lens_hits.py": {"SAME_HIT"},
+    "transport/regions/standing_lamps.py": {"GRAZING"},
     "transport/regions/lens_block.py": {"SETTLED"},
     "transport/regions/mla.py": {"ROUNDED", "UNSURE"},
     "transport/tables/single_scatter.py": {"FINEST"},

@@ -53,6 +53,7 @@ from lfmesh.transport.refused_glass import closed_gaps, cut_bodies, refuse_untra
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.regions.glass_round import places_round
 from lfmesh.transport.regions.seen_lamps import with_seen_lamps
+from lfmesh.transport.regions.standing_lamps import off_surfaces
 from lfmesh.transport.sequences.ghosts import GhostTables
 from lfmesh.transport.tables.cover import apparent_frames, cover_tables
 from lfmesh.transport.tables.frames import frame_table
@@ -501,10 +502,13 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     bodies_met = objects.facets["body"][: len(object_mesh.faces)]
     finders = {LENS: Finder(lens_mesh), OBJECTS: Finder(*divided(object_mesh, bodies_met))}
     finders |= {station: Finder(mesh) for station, mesh in cells.items()}
+    objects, standing = off_surfaces(scene, objects, finders[OBJECTS])
+    warn_caller(standing)
+    tables = tables._replace(objects=objects)
     if scene.transport.method == "forward":
         tables = tables._replace(objects=with_seen_lamps(objects, report, moves, finders[OBJECTS]))
     how = {"rings": rings, "aimed": aimed}
     bodies = Bodies(shape, targets, housing)
     world = World(scene, report, tables, finders, book, bodies, particles, find_aim, how)
-    world.warnings = doubtful
+    world.warnings = (*doubtful, *standing)
     return world

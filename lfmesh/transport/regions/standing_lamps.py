@@ -1,0 +1,142 @@
+"""Lamps that stand on a surface, moved off it by more than rays are rounded by.
+
+Light-emitting diodes stand on their board, and panels on their wall. To rounding such a lamp is on either side of the
+surface, which would hide it from a random part of the scene. A lamp is moved to the side onto which it shines. If it
+shines to both sides, or stands on glass, it is moved to the front, where the surface's normal points.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import MissedLightWarning
+from lfmesh.geometry.objects.targets import named_target
+from lfmesh.scene import Scene
+from lfmesh.scene.literals import plain
+from lfmesh.transport.events.facets import FLOAT32_GRAIN
+from lfmesh.transport.regions.embree import Finder
+from lfmesh.transport.regions.first_met import first_met
+from lfmesh.transport.tables.lamp_tree import lamp_tree
+from lfmesh.transport.tables.tables import OPAQUE, ObjectTables
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+CLEAR = 2.0
+"""Distance to which a lamp is moved off a surface, over that within which it stands on it."""
+
+PROBE = 16.0
+"""Distance at which rays start that look for a surface, in roundings of float32."""
+
+MOST_SURFACES = 3
+"""Largest number of surfaces off which one lamp is moved: those of a corner."""
+
+STEEP = 0.5
+"""Least cosine between a probe and the normal that it finds; of three axes one has 1/√3 or more."""
+
+GRAZING = 2.0**-10
+"""Least difference of the sine of a lamp's reach and the cosine of its axis from which on it lights its surface."""
+
+POINTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+"""Points of a lamp that may stand on a surface, in its half axes."""
+
+
+STANDING = np.dtype(
+    [
+        ("facet", "i8"),  # on which a lamp stands; −1: none
+        ("normal", "f8", (3,)),  # unit, of that
+        ("height", "f8"),  # mm, of the lamp over it
+        ("grain", "f8"),  # mm, largest such height
+    ]
+)
+"""Surface on which a lamp stands."""
+
+
+def off_surfaces(
+    scene: Scene, objects: ObjectTables, finder: Finder
+) -> tuple[ObjectTables, tuple[MissedLightWarning, ...]]:  # fmt: skip
+    """Return tables whose lamps stand clear of all surfaces, and warnings about lamps that shine onto their own target.
+
+    Parameters
+    ----------
+    scene : Scene
+    objects : ObjectTables
+    finder : Finder
+        Of object space.
+    """
+    lamps = objects.lamps
+    if not lamps.rows["placed"].any() or not len(objects.facets):
+        return objects, ()
+    rows = lamps.rows.copy()
+    shining: list[tuple[int, int, float]] = []
+    for _ in range(MOST_SURFACES):
+        standing = _standing(objects, finder, rows)
+        lamp = np.flatnonzero(standing["facet"] >= 0)
+        if not len(lamp):
+            break
+        found, own = standing[lamp], rows[lamp]
+        body = objects.facets["body"][found["facet"]]
+        on_glass = (body >= 0) & (np.append(objects.medium, OPAQUE)[body] != OPAQUE)
+        along = np.einsum("ij,ij->i", found["normal"], own["direction"])
+        to_back = (own["outer"] <= 1.0) & (along < 0.0) & ~on_glass
+        off = CLEAR * found["grain"]
+        rows["position"][lamp] += (np.where(to_back, -off, off) - found["height"])[:, None] * found["normal"]
+        # Of the angle beyond which nothing shines.
+        sine = np.where(own["outer"] < 1.0, np.sqrt(own["outer"] * np.maximum(2.0 - own["outer"], 0.0)), 1.0)
+        onto = (body >= 0) & ~on_glass & ((own["outer"] > 1.0) | (np.abs(along) < sine - GRAZING))
+        shining += zip(lamp[onto].tolist(), body[onto].tolist(), off[onto].tolist(), strict=True)
+    if (rows["position"] == lamps.rows["position"]).all():
+        return objects, ()
+    nodes, power, leaf = lamp_tree(rows, rows["power"][:, None] * lamps.spectra)
+    moved = lamps._replace(rows=rows, nodes=nodes, power=power, leaf=leaf)
+    return objects._replace(lamps=moved), tuple(_named(scene, shining))
+
+
+def _named(scene: Scene, shining: list[tuple[int, int, float]]) -> Iterator[MissedLightWarning]:
+    """Name the first of the lamps that shine onto the target on which they stand, with the distance off it, mm."""
+    if shining:
+        lamp, target, off = shining[0]
+        others = len({number for number, _, _ in shining}) - 1
+        more = f", as {others} more of the lights do onto theirs" if others else ""
+        yield MissedLightWarning(
+            f"lights[{lamp}] stands on {named_target(scene, target)} and shines onto it{more}. It is taken to stand "
+            f"{plain(off, 2)} mm off, and the light of the spot below it may be missed. Move it off the surface by "
+            "some tenths of a millimetre, or take a lamp that shines away from it"
+        )
+
+
+def _standing(objects: ObjectTables, finder: Finder, rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Return the surface on which each lamp stands, (lamps,) STANDING."""
+    standing = np.zeros(len(rows), STANDING)
+    standing["facet"] = -1
+    arms = rows["half"][:, :, None] * rows["across"]
+    for a, b in POINTS:
+        if (a, b) != POINTS[0] and not (rows["size"] > 0.0).any():
+            break
+        places = rows["position"] + a * arms[:, 0] + b * arms[:, 1]
+        coordinates = np.abs(places).sum(axis=1)
+        back = PROBE * FLOAT32_GRAIN * (coordinates + objects.radius)
+        for probe in np.eye(3):
+            starts = places - back[:, None] * probe
+            facet, t, normal = first_met(objects, finder, starts, np.tile(probe, (len(rows), 1)))
+            along = normal @ probe
+            height = (back - np.where(facet >= 0, t, 0.0)) * along
+            grain = FLOAT32_GRAIN * (coordinates + _sizes(objects, facet))
+            # A lamp with a size stands on a surface if it lies in it.
+            tilt = np.abs(np.einsum("ijk,ik->ij", arms, normal)).sum(axis=1)
+            found = rows["placed"] & (standing["facet"] < 0) & (facet >= 0) & (np.abs(along) >= STEEP)
+            found &= (np.abs(height) <= grain) & (tilt <= grain)
+            for name, values in (("facet", facet), ("normal", normal), ("height", height), ("grain", grain)):
+                standing[name][found] = values[found]
+    return standing
+
+
+def _sizes(objects: ObjectTables, facet: Index) -> Array:
+    """Return the sizes of facets, mm, (n,); of round faces their radii. That of no facet, −1, is any."""
+    sizes = objects.facets["size"][np.maximum(facet, 0)]
+    if objects.rounds is not None:
+        faces = objects.rounds.faces
+        number = facet - objects.rounds.first
+        sizes = np.where(number >= 0, faces["radius"][np.clip(number, 0, len(faces) - 1)], sizes)
+    return np.asarray(sizes)

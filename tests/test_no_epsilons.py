@@ -48,7 +48,7 @@ DIMENSIONLESS = {
     "transport/aims/fitting.py": {"ALLOWED"},
     "transport/sequences/stop_rays.py": {"NEAREST"},
     "transport/checks/found.py": {"CUT_SHARE", "OPEN_SHARE"},
-    "transport/checks/lamps.py": {"GRAIN"},
+    "transport/checks/lamps.py": {"GRAIN", "STEEPEST"},
     "transport/checks/tails.py": {"BRIGHT"},
     "transport/checks/blind_check.py": {"LEVEL"},
     "transport/render/certainty.py": {"RARE"},

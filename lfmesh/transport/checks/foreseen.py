@@ -9,7 +9,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.objects.placement import HIDES, is_round
 from lfmesh.geometry.objects.targets import named_target
 from lfmesh.scene.advice import doubtful
-from lfmesh.transport.checks.lamps import lamps_at_targets, lamps_in_field
+from lfmesh.transport.checks.lamps import lamps_at_targets, lamps_in_field, narrow_beams
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.render.glass_aim import hardly_aimed
 from lfmesh.transport.world import World
@@ -28,6 +28,7 @@ def foreseen(world: World) -> list[PictureWarning]:
         *_folded(world),
         *lamps_in_field(world),
         *lamps_at_targets(world),
+        *narrow_beams(world),
         *map(MissedLightWarning, hardly_aimed(world)),
         *_without_reflections(world),
         *doubtful(world.scene, world.facts),

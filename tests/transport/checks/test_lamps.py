@@ -151,6 +151,32 @@ def test_a_picture_of_a_spot_that_samples_seldom_meet_is_told_doubtful(height_mm
     assert lf.HeavyPathsWarning not in kinds(given.changed({"transport.method": "forward"}))
 
 
+def beam(half_angle_deg: float, *place: float, to: tuple[float, float, float] = (0.0, 0.0, -100.0)) -> dict[str, Any]:
+    way = (np.array(to) - place).tolist()
+    return {"kind": "spot", "position_mm": place, "direction": way, "half_angle_deg": half_angle_deg, "power_w": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("lamp", "told"),
+    [
+        (beam(0.01, 30.0, 0.0, -60.0), True),
+        (beam(1e-9, 30.0, 0.0, -60.0), True),
+        (beam(8.0, 30.0, 0.0, -60.0), False),
+        (beam(0.01, 30.0, 0.0, -60.0, to=(15.0, 0.0, -100.0)), False),
+        (beam(0.01, 30.0, 0.0, -60.0, to=(90.0, 0.0, -100.0)), False),
+        (beam(0.01, 30.0, 0.0, -120.0), False),
+    ],
+    ids=["narrow", "without width", "wide", "beside the field", "past the wall", "behind the wall"],
+)
+def test_a_beam_whose_spot_few_samples_meet_is_named(lamp: dict[str, Any], told: bool) -> None:
+    """A picture that misses the spot is black, or lacks this lamp's light among that of others, without an error."""
+    given = scene(targets=[WALL], lights=[lamp], **{"camera.sensor.pixel_mm": 0.5})
+    named = [str(each) for each in foreseen(lf.build(given)) if isinstance(each, lf.HeavyPathsWarning)]
+    assert bool(named) == told
+    assert all("lights a spot" in text and "targets[0]" in text for text in named)
+    assert lf.HeavyPathsWarning not in kinds(given.changed({"transport.method": "forward"}))
+
+
 def test_reflections_that_the_sequential_engine_leaves_out_are_named() -> None:
     for split, told in (("both", True), ("transmit", False)):
         given = scene(**{"transport.engine": "sequential", "transport.split": split})

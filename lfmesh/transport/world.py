@@ -52,7 +52,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.refused_glass import closed_gaps, cut_bodies, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.regions.glass_round import places_round
-from lfmesh.transport.regions.seen_lamps import with_seen_lamps
+from lfmesh.transport.regions.seen_lights import with_seen_lights
 from lfmesh.transport.regions.standing_lamps import off_surfaces
 from lfmesh.transport.sequences.ghosts import GhostTables
 from lfmesh.transport.tables.cover import apparent_frames, cover_tables
@@ -506,7 +506,7 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     warn_caller(standing)
     tables = tables._replace(objects=objects)
     if scene.transport.method == "forward":
-        tables = tables._replace(objects=with_seen_lamps(objects, report, moves, finders[OBJECTS]))
+        tables = tables._replace(objects=with_seen_lights(objects, report, moves, finders[OBJECTS]))
     how = {"rings": rings, "aimed": aimed}
     bodies = Bodies(shape, targets, housing)
     world = World(scene, report, tables, finders, book, bodies, particles, find_aim, how)

@@ -59,7 +59,7 @@ def _meet_rounds(
     """Enter the round faces that rays meet before what they are known to meet."""
     for i in range(len(starts)):
         ray = Ray(starts[i, 0], starts[i, 1], starts[i, 2], directions[i, 0], directions[i, 1], directions[i, 2])
-        number, nearest, _ = first_round(rounds, ray, -1, t[i])
+        number, nearest, _ = first_round(rounds, None, ray, -1, t[i])
         if number >= 0:
             x, y, z = along(ray, nearest)
             nx, ny, nz = round_normal(rounds.faces[number], x, y, z)

@@ -29,6 +29,9 @@ GRID = 9
 BETWEEN = 0.1
 """By how much those bounds are wider than the points tell: of sizes and angles."""
 
+MOST_PLACES = 1 << 20
+"""Largest number of places in a texture that are looked up at once."""
+
 PROBES = 2
 """The mean of the texture over a piece is taken over the middles of the 4ⁿ triangles that it divides into."""
 
@@ -233,32 +236,42 @@ def _first_round(objects: ObjectTables) -> int:
     return len(objects.facets) if objects.rounds is None else objects.rounds.first
 
 
-def _in_texture(objects: ObjectTables, facet: int, level: int) -> Array:
-    """Return the places in the texture of the middles of a facet's pieces, (4**level, 2)."""
+def _in_texture(objects: ObjectTables, facets: NDArray[np.int64], level: int) -> Array:
+    """Return the places in the texture of the middles of the pieces of facets, or of round faces, (n, 4**level, 2)."""
     first = _first_round(objects)
-    if facet < first:
-        return corner_weights(level).mean(axis=1) @ objects.uv[facet]
+    if facets[0] < first:
+        return np.einsum("kc,ncd->nkd", corner_weights(level).mean(axis=1), objects.uv[facets])
     s, t = (square_corners(level) + 0.5 * 0.5**level).T
-    return places_in_picture(objects.rounds.faces[facet - first], s, t)
+    return np.stack([places_in_picture(objects.rounds.faces[facet - first], s, t) for facet in facets])
 
 
 def _texture_means(objects: ObjectTables, bright: NDArray[np.int64], level: NDArray[np.int64]) -> Array:
     """Return the mean of the texture over each piece, and over the wavelengths; 1 without a texture."""
     texture = objects.texture[objects.facets["body"][bright]]
-    means = np.ones(int((4**level).sum()))
-    starts = np.cumsum(4**level) - 4**level
+    count = 4**level
+    means = np.ones(int(count.sum()))
+    starts = np.cumsum(count) - count
     weights = objects.texel_weights.mean(axis=0) if len(objects.texel_weights) else None
-    pictures: dict[int, Array] = {}
-    for number in np.flatnonzero(texture[:, 1]):
-        start, height, width = (int(value) for value in texture[number])
-        if start not in pictures:
-            texels = objects.texels[start : start + height * width]
-            pictures[start] = (texels.mean(axis=1) if weights is None else texels @ weights).reshape(height, width)
-        values = pictures[start]
-        u, v = _in_texture(objects, int(bright[number]), int(level[number]) + PROBES).T
-        # The nearest texel: a mean over many needs no interpolation.
-        column = np.clip((u * width).astype(np.int64), 0, width - 1)
-        row = np.clip(((1.0 - v) * height).astype(np.int64), 0, height - 1)
-        pieces = slice(starts[number], starts[number] + 4 ** level[number])
-        means[pieces] = values[row, column].reshape(-1, 4**PROBES).mean(axis=1)
+    alike = np.column_stack([texture, level, bright >= _first_round(objects)])
+    for kind in np.unique(alike[texture[:, 1] > 0], axis=0):
+        start, height, width, depth, _ = (int(value) for value in kind)
+        texels = objects.texels[start : start + height * width]
+        picture = (texels.mean(axis=1) if weights is None else texels @ weights).reshape(height, width)
+        own = np.flatnonzero((alike == kind).all(axis=1))
+        for some in np.array_split(own, -(-len(own) * 4 ** (depth + PROBES) // MOST_PLACES)):
+            values = _between_texels(picture, _in_texture(objects, bright[some], depth + PROBES))
+            pieces = starts[some, None] + np.arange(4**depth)
+            means[pieces] = values.reshape(len(some), 4**depth, -1).mean(axis=2)
     return means
+
+
+def _between_texels(picture: Array, places: Array) -> Array:
+    """Return the values of a picture, (height, width), at places in it, (..., 2): bilinear and clamped, as rays do."""
+    height, width = picture.shape
+    column = np.clip(places[..., 0] * width - 0.5, 0.0, width - 1.0)
+    row = np.clip((1.0 - places[..., 1]) * height - 0.5, 0.0, height - 1.0)
+    left, low = column.astype(np.int64), row.astype(np.int64)
+    right, next_row = np.minimum(left + 1, width - 1), np.minimum(low + 1, height - 1)
+    s, t = row - low, column - left
+    upper = (1.0 - t) * picture[low, left] + t * picture[low, right]
+    return (1.0 - s) * upper + s * ((1.0 - t) * picture[next_row, left] + t * picture[next_row, right])

@@ -1,8 +1,10 @@
 """Points of emitting facets are drawn with the density that is told for them, and only where there is a need."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import PIL.Image
 import pytest
 import trimesh
 from numpy.typing import NDArray
@@ -223,6 +225,30 @@ def test_few_pieces_are_drawn_by_power_alone() -> None:
         drawn(few, place, normal, numbers, found[number])
     np.testing.assert_array_equal(found[0], found[1])
     assert len(few.emitters.nodes) == 0
+
+
+@pytest.mark.parametrize("few", [8, 1], ids=["few", "in a tree"])
+def test_facets_between_two_texels_are_drawn_by_their_light(
+    few: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the middle of a black texel to that of a white one, light grows evenly along a sheet of eight facets."""
+    monkeypatch.setattr(emitting_facets, "FEW", few)
+    x, y = (each.ravel() for each in np.meshgrid([0.0, 1.0, 2.0], [0.0, 1.0, 2.0], indexing="ij"))
+    corners = np.array([[i, i + 3, i + 4] for i in (0, 1, 3, 4)] + [[i, i + 4, i + 1] for i in (0, 1, 3, 4)])
+    lines = [f"v {a} {b} 0\nvt {0.25 + 0.25 * a} {0.5 * b}" for a, b in zip(x, y, strict=True)]
+    lines += ["f " + " ".join(f"{k}/{k}" for k in face) for face in (corners + 1).tolist()]
+    (tmp_path / "sheet.obj").write_text("\n".join(lines))
+    PIL.Image.fromarray(np.array([[0, 255]], np.uint8)).save(tmp_path / "step.png")
+    glow = {"reflectance": 0.0, "radiance_w_m2_sr": 1.0, "texture": str(tmp_path / "step.png")}
+    sheet = {"file": str(tmp_path / "sheet.obj"), "units": "mm", "position_mm": [0.0, 0.0, -60.0], "material": glow}
+    tables = lf.build(scene([sheet], [LAMP]), aimed=False).tables.objects
+    emitters, whole = tables.emitters, np.ones(8)
+    leaves = emitters.nodes[emitters.nodes["right"] == 0]
+    if len(leaves):
+        whole = np.repeat(leaves["power"], leaves["end"] - leaves["begin"])
+    corners = tables.facets["corners"][emitters.facet, :, 0]
+    light = corners.mean(axis=1) - corners.min()
+    np.testing.assert_allclose(0.5 * emitters.density * whole, light / light.sum(), rtol=1e-6)
 
 
 def test_a_large_texture_keeps_to_the_limit_of_pieces(objects: ObjectTables) -> None:

@@ -1,4 +1,4 @@
-"""Warnings about scenes that are allowed but likely to disappoint."""
+"""Warnings about scenes that are valid but likely to disappoint."""
 
 import math
 from collections.abc import Iterator
@@ -22,19 +22,19 @@ from lfmesh.scene.scene import Scene
 if TYPE_CHECKING:
     from lfmesh.scene.first_order.report import FirstOrder
 
-# Differences below these shares are ordinary tolerances of a design, not worth a word.
+# Smaller fractions are ordinary tolerances of a design and raise no warning.
 _F_NUMBER_TOLERANCE = 0.1
 _TOUCHING_TOLERANCE = 0.02
-# Of a polynomial over its norm radius, where 1 is its largest.
+# Magnitude of a Qcon polynomial at the clear aperture; within the norm radius it stays below 1.
 _GROWTH = 1.5
-# An atom is about that wide, in nm.
+# About the width of an atom, in nm.
 _THINNEST_LAYER_NM = 0.2
-# Of the distance in focus, or of a hundred focal lengths where it is farther.
+# Fraction of the focus distance, or of 100 focal lengths where the focus is farther.
 _FOCUS_TOLERANCE = 1e-3
 
 
 def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
-    """Return the warnings of a solved scene, given its first-order facts."""
+    """Return the warnings about a scene, given its first-order facts."""
     return (
         *(str(each) for each in doubtful(scene, facts)),
         *_focus(scene, facts),
@@ -56,7 +56,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
 
 
 def _samples(scene: Scene) -> Iterator[str]:
-    """Say how many samples are taken where the replicates cannot share those asked for."""
+    """Warn if the samples do not divide evenly among the replicates."""
     transport = scene.transport
     if transport.samples % transport.replicates:
         yield (
@@ -66,7 +66,7 @@ def _samples(scene: Scene) -> Iterator[str]:
 
 
 def _spreads(scene: Scene) -> Iterator[str]:
-    """Say that particles are no rays where light diffracts, and how many there are."""
+    """Warn of the time that point spreads of particles take if diffraction is on."""
     chosen = scene.transport.diffraction
     if chosen == "none" or not scene.particles:
         return
@@ -79,7 +79,7 @@ def _spreads(scene: Scene) -> Iterator[str]:
 
 
 def _rough_camera(scene: Scene) -> Iterator[str]:
-    """Say what makes a picture noisy where surfaces of the camera scatter light."""
+    """Warn of the noise that rough surfaces in the camera cause."""
     rough = [format_path(where) for where in scene.rough_in_camera()]
     if not rough:
         return
@@ -89,12 +89,12 @@ def _rough_camera(scene: Scene) -> Iterator[str]:
 
 
 def doubtful(scene: Scene, facts: "FirstOrder") -> tuple[PictureWarning, ...]:
-    """Return the warnings by which a picture of a solved scene is or may be wrong, most important first."""
+    """Return the warnings about errors in a picture of a solved scene, most important first."""
     return in_order([*_forward_in_fog(scene), *_scattered_particles(scene), *_diffraction(scene, facts)])
 
 
 def _forward_in_fog(scene: Scene) -> Iterator[PictureWarning]:
-    """Name media all around, of whose light the forward method finds too little."""
+    """Warn of unbounded scattering media, for which the forward method finds too little light."""
     for number, medium in enumerate(scene.media):
         everywhere = medium.scattering_per_mm != 0.0 and medium.bounds is None and medium.grid is None
         if everywhere and scene.transport.method == "forward":
@@ -106,7 +106,7 @@ def _forward_in_fog(scene: Scene) -> Iterator[PictureWarning]:
 
 
 def _scattered_particles(scene: Scene) -> Iterator[PictureWarning]:
-    """Name what scatters the light of particles, of which only what was sent towards the lens is found."""
+    """Warn of media and surfaces that scatter the light of particles, which is then found only in part."""
     if not scene.particles:
         return
     media = [each.name or f"media[{i}]" for i, each in enumerate(scene.media) if each.scattering_per_mm != 0.0]
@@ -121,7 +121,7 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     given, distance = scene.camera.focus_mm or math.inf, facts.object_distance_mm
     focus = focus_wished_mm(scene.camera, scene.primary_nm)
     plane = "array" if scene.camera.mla is not None else "sensor"
-    # Of a relay with an image inside, the focal length is negative too, but the rear focal point lies behind it.
+    # A relay with an intermediate image has a negative focal length too, but its rear focal point lies behind it.
     if facts.efl_x_mm is not None and math.isinf(facts.efl_mm):
         # A cylinder without power in y: it has no plane in focus there.
         return
@@ -148,7 +148,7 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 
 def _beyond_infinity(facts: "FirstOrder", plane: str) -> Iterator[str]:
-    """Say that array or sensor has the image of no real object, and what is sharp all the same."""
+    """Warn that the array or sensor lies at no real image, and report the distances that are still sharp."""
     sharp = "is sharp" if facts.microlens_f_number is None or facts.focused else "can be refocused"
     reach = f"what {sharp}: {reach_in_words(facts.near_mm, facts.far_mm)}"
     if math.isinf(facts.efl_mm):
@@ -163,7 +163,7 @@ def _beyond_infinity(facts: "FirstOrder", plane: str) -> Iterator[str]:
 
 
 def _stop_in_image(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
-    """Say that the stop limits the field in place of the light, where it is imaged onto the array or sensor."""
+    """Warn of a stop imaged onto the array or sensor: it limits the field, not the light."""
     if facts.working_f_number == 0.0:
         plane = "array" if scene.camera.mla is not None else "sensor"
         yield (
@@ -173,7 +173,7 @@ def _stop_in_image(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 
 def _refocus_lenslets(scene: Scene, facts: "FirstOrder", focus_mm: float) -> str:
-    """Say where the array of a focused camera has to stand for the plane that `focus_mm` names."""
+    """Return advice on the position of a focused camera's array that puts the plane at `focus_mm` in focus."""
     camera, middle = scene.camera, middle_of(facts.focused)
     lens = Paraxial.of(camera.lens, scene.primary_nm)
     behind = lens.image_mm(focus_mm) + middle.main_image_mm - (facts.lenslets_z_mm or 0.0) + lens.length_mm
@@ -188,7 +188,7 @@ def _refocus_lenslets(scene: Scene, facts: "FirstOrder", focus_mm: float) -> str
 
 
 def _covering(facts: "FirstOrder") -> Iterator[str]:
-    """Name lenslets of a focused camera that leave gaps in what they image sharply."""
+    """Warn of lenslets of a focused camera that leave gaps in the plane they are focused on."""
     for at in facts.focused:
         if abs(at.virtual_depth) < at.covering_depth:
             which = f"lenslets of focal length {at.focal_length_mm:.4g} mm" if len(facts.focused) > 1 else "lenslets"
@@ -199,7 +199,7 @@ def _covering(facts: "FirstOrder") -> Iterator[str]:
 
 
 def _between_sections(scene: Scene) -> Iterator[str]:
-    """Name surfaces that the sections along x and y do not tell all of."""
+    """Warn of surfaces that the x and y sections do not fully describe."""
     for i, surface in enumerate(scene.camera.lens.surfaces):
         if surface.form is not None and not surface.form.symmetric:
             yield (
@@ -210,7 +210,7 @@ def _between_sections(scene: Scene) -> Iterator[str]:
 
 
 def _sections(facts: "FirstOrder") -> Iterator[str]:
-    """Say that a lens has another power in x than in y, and what that makes of a point."""
+    """Warn of a lens that has different power in x and y, and of its astigmatism."""
     if facts.efl_x_mm is None or facts.image_x_shift_mm is None:
         return
     if facts.efl_x_mm != facts.efl_mm:
@@ -221,7 +221,7 @@ def _sections(facts: "FirstOrder") -> Iterator[str]:
             f"the lens is anamorphic: its focal length is {in_y} in y and {in_x} in x; "
             "first-order figures, and what decoding, refocusing and depth take from them, are those in y"
         )
-    # The blur of a point in x, against the Airy disk, below which nobody sees it.
+    # Blur of a point in x; below the width of the Airy disk it is invisible.
     blur = abs(facts.image_x_shift_mm) / facts.working_f_number if facts.working_f_number else math.inf
     if blur > facts.airy_disk_mm:
         side = "behind" if facts.image_x_shift_mm > 0 else "before"
@@ -232,7 +232,7 @@ def _sections(facts: "FirstOrder") -> Iterator[str]:
 
 
 def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
-    """Compare the axial beam that the stop lets through with every clear aperture, by real rays."""
+    """Compare the axial beam that the stop passes with every clear aperture, by real rays."""
     camera, wavelength = scene.camera, scene.primary_nm
     surfaces = camera.lens.surfaces
     lens = Paraxial.of(camera.lens, wavelength)
@@ -249,7 +249,7 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
             else:
                 beam = axial_beam.beam_mm(camera.lens, wavelength, distance, clears)
         except (OverflowError, ValueError):
-            # Coefficients beyond all bounds leave no real ray to be followed, and nothing to be said of it.
+            # With coefficients this large no real ray can be traced.
             return
     for number, (found, proven) in enumerate(zip(beam.found_mm, beam.proven_mm, strict=True)):
         clear = clears[number]
@@ -279,7 +279,7 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 
 def _beyond_norm(scene: Scene) -> Iterator[str]:
-    """Name strong aspheres whose clear aperture reaches to where their polynomials have grown."""
+    """Warn of strong aspheres with a clear aperture beyond the norm radius, where their polynomials grow."""
     for number, surface in enumerate(scene.camera.lens.surfaces):
         rim = surface.semi_diameter_mm
         if surface.qcon is None or rim is None or not rim > surface.qcon.norm_radius_mm:
@@ -294,7 +294,7 @@ def _beyond_norm(scene: Scene) -> Iterator[str]:
 
 
 def _thin_layers(scene: Scene) -> Iterator[str]:
-    """Name layers that nobody can make, as of thicknesses in micrometres."""
+    """Warn of impossibly thin layers, such as thicknesses given in micrometres."""
     for name, coating in scene.all_coatings.items():
         for number, layer in enumerate(coating.layers or ()):
             if layer.thickness_nm < _THINNEST_LAYER_NM:
@@ -340,7 +340,7 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 
 def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
-    """Say where diffraction that is not traced blurs more than what samples the image, or is traced for points."""
+    """Warn of diffraction that blurs by more than one image sample and is not traced."""
     chosen = scene.transport.diffraction
     traced = chosen == "lenslets"
     sample = "lenslets" if facts.microlens_f_number is not None and not facts.focused else "pixels"
@@ -390,7 +390,7 @@ def _coverage(scene: Scene) -> Iterator[str]:
 
 
 def _targets(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
-    """Judge targets by their place and size, for a camera that stands in the world frame."""
+    """Judge targets by place and size; only for a camera at the origin of the world frame."""
     if any(scene.camera.pose.shift_mm) or any(scene.camera.pose.tilt_deg):
         return
     for number, target in enumerate(scene.targets):
@@ -413,7 +413,7 @@ def _targets(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 
 def _reach_mm(target: Target) -> float | None:
-    """Return the radius of a ball that holds the target's shape; None for a mesh, whose size is not known."""
+    """Return the radius of a ball that contains the target's shape, or None for a mesh (size unknown)."""
     match target.shape:
         case Plane(width_mm=w, height_mm=h):
             return math.hypot(w, h) / 2
@@ -428,10 +428,9 @@ def _reach_mm(target: Target) -> float | None:
 
 
 def half_field_mm(z_mm: float, facts: "FirstOrder") -> tuple[float, float]:
-    """Return half the width and height seen at a plane, in mm, by the chief rays of the entrance pupil's middle."""
+    """Return half the visible width and height at a plane, in mm, including the blur at its edge."""
     width, height = facts.field.size_mm(z_mm)
-    # The pupil is not a point: off the plane in focus, the edge of the field is as soft as the beam is wide
-    # there.
+    # The pupil has an extent: off the plane in focus, the edge of the field is as soft as the beam is wide.
     blur = facts.field.beam_mm(z_mm)
     return (width + blur) / 2, (height + blur) / 2
 

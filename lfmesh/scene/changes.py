@@ -1,4 +1,4 @@
-"""Changes of a scene by paths of keys, such as "targets[0].position_mm"."""
+"""Changes to a scene by key paths, such as "targets[0].position_mm"."""
 
 import re
 from functools import lru_cache
@@ -7,17 +7,17 @@ from typing import Any
 from lfmesh.scene.model import Model
 
 _NUMBER = re.compile(r"[0-9]{1,18}")
-"""Of an entry in a path; no list is longer."""
+"""List index in a path; no list is longer."""
 
 
 @lru_cache(maxsize=4096)
 def steps_of(path: str) -> tuple[str | int, ...]:
-    """Return the keys and numbers of a path such as "targets[0].position_mm"."""
+    """Return the keys and indices of a path such as "targets[0].position_mm"."""
     return tuple(int(s) if _NUMBER.fullmatch(s) else s for s in path.replace("]", "").replace("[", ".").split("."))
 
 
 def changed_table(table: dict[str, Any] | None, values: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the table of a lens with a file after changes by path; None where they reach what the file holds."""
+    """Return the table of a lens with a file after changes, or None if a change reaches into the file's contents."""
     table = None if table is None else dict(table)
     for path, value in values.items():
         steps = steps_of(path)
@@ -30,9 +30,9 @@ def changed_table(table: dict[str, Any] | None, values: dict[str, Any]) -> dict[
 
 
 def opened(value: Any) -> Any:
-    """Return a model as a table of its fields, a tuple as a list, a table as a copy; what they hold stays as it is.
+    """Open one level: return a model as a table of its fields, a tuple as a list, a table as a copy.
 
-    Left out is a default that follows from other fields: with those it changes.
+    Defaults derived from other fields are left out, as they change with those.
     """
     if isinstance(value, Model):
         fields = type(value).model_fields.items()

@@ -9,7 +9,7 @@ def length_in_words(length_mm: float) -> str:
 
 
 def reach_in_words(near_mm: float, far_mm: float, digits: int = 4) -> str:
-    """Return "480 mm to 1200 mm", "480 mm to infinity", or that no distance is in reach, as both are infinite.
+    """Return "480 mm to 1200 mm", "480 mm to infinity", or "no distance" if both are infinite.
 
     Parameters
     ----------

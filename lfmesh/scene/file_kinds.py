@@ -1,4 +1,4 @@
-"""Kinds of TOML files: one that was given in place of another is named, with the command or key that takes it."""
+"""Kinds of TOML files. A file of the wrong kind is named, with the command or key that takes it."""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -16,7 +16,7 @@ _TAKEN_BY: dict[FileKind, str] = {
 
 
 def kind_of(data: Mapping[str, Any]) -> FileKind | None:
-    """Return what kind of file tables are of, by the keys that no other kind has; None where none tells."""
+    """Return the kind of file that has these tables, by keys unique to each kind, or None if unknown."""
     if "camera" in data:
         return "scene"
     if "random" in data:
@@ -29,13 +29,13 @@ def kind_of(data: Mapping[str, Any]) -> FileKind | None:
 
 
 def mistaken_for(wanted: FileKind, data: Mapping[str, Any]) -> str | None:
-    """Return what is said of a file of another kind than the wanted one; None of one of that kind.
+    """Return a message about a file of the wrong kind, or None if its kind is right or unknown.
 
     Parameters
     ----------
     wanted : {"scene", "lens", "study", "dataset", "design"}
     data : mapping
-        Its tables.
+        Tables of the file.
     """
     found = kind_of(data)
     if found is None or found == wanted:

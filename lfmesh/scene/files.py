@@ -1,4 +1,4 @@
-"""Reading scene files, with every fault of a file in one error."""
+"""Read scene files, reporting all faults of a file in one error."""
 
 import re
 import tomllib
@@ -25,23 +25,23 @@ from lfmesh.scene.quantities import path_fault
 from lfmesh.scene.scene import Scene
 
 MOST_BYTES = 20_000_000
-"""Of a TOML file: tables of spectra and the like may stand in it."""
+"""Largest size of a TOML file in bytes, ample for tables of spectra."""
 
 DEEPEST_TABLE = 32
-"""Tables and lists in one another that a file may have; scenes have some six."""
+"""Deepest nesting of tables and lists in a file; scenes need about six."""
 
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST_TABLE}}}")
-"""A key of more parts than tables may stand in one another: memory and time for it grow with their square."""
+"""Dotted key with more parts than the deepest nesting: memory and time to parse it grow as the square of its length."""
 
 SAME_LINE_NM = 1.0
-"""Difference of wavelengths, in nm, that other programs' roundings of one spectral line stay below."""
+"""Limit, in nm, on the difference between other programs' roundings of a spectral line."""
 
 _LENS = "camera.lens"
 _TOO_DEEP = "tables or lists stand too deep in one another; no scene needs that"
 
 LIBRARY = "lib:"
-"""Prefix of the name of a lens that comes with lfmesh, in place of a path."""
+"""Prefix that names a lens of the library, in place of a path."""
 
 
 def load(path: str | Path) -> Scene:
@@ -50,7 +50,7 @@ def load(path: str | Path) -> Scene:
     Parameters
     ----------
     path : str or Path
-        A TOML file; the relative paths in it start from its folder.
+        A TOML file. Relative paths in it start from its folder.
 
     Returns
     -------
@@ -59,9 +59,9 @@ def load(path: str | Path) -> Scene:
     Raises
     ------
     SceneError
-        The file cannot be read, is no TOML (with line and column), or is no valid scene: one line a fault,
-        with its path in the file, the value, and what is valid. Missing meshes, textures and lens files are
-        among them.
+        The file cannot be read, is not TOML (with line and column), or is not a valid scene. The message has one line
+        per fault: its path in the file, the value, and valid values. Missing meshes, textures and lens files are
+        faults.
     """
     path = Path(path)
     data = _read(path)
@@ -70,7 +70,7 @@ def load(path: str | Path) -> Scene:
 
 
 def loads(text: str, folder: str | Path = ".") -> Scene:
-    """Read a scene from TOML text, with relative paths starting from `folder`; errors as in `load`.
+    """Read a scene from TOML text. Relative paths start from `folder`.
 
     Parameters
     ----------
@@ -90,19 +90,19 @@ def loads(text: str, folder: str | Path = ".") -> Scene:
 
 
 def load_lens(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> Lens:
-    """Read a lens: a TOML file with the keys of `[camera.lens]` at its top level, a lens file of another program.
+    """Read a lens from a TOML file with the keys of `[camera.lens]` at its top level, or from another program's file.
 
     Parameters
     ----------
     path : str or Path
-        A `.toml`, `.zmx`, `.seq` or `.csv` file, or "lib:" and the name of a lens that comes with lfmesh.
+        A `.toml`, `.zmx`, `.seq`, `.len`, `.json` or `.csv` file, or "lib:" and the name of a library lens.
     choices : FileChoices
-        Of a file of another program.
+        Options for reading another program's file.
 
     Raises
     ------
     SceneError
-        As in `load`; and where a file of another program holds what the lens cannot have.
+        As in `load`, or another program's file holds something that a lens cannot have.
     """
     path = _lens_path(str(path), Path())
     if reader := reader_of(path):
@@ -116,9 +116,9 @@ def load_lens(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> Lens:
 
 
 def with_lens_file(lens: Lens, folder: Path) -> Lens:
-    """Return a lens whose `file` is replaced by what it holds.
+    """Return a lens with its `file` replaced by the file's contents.
 
-    Stop size, names, poses, coatings and the object medium that are given beside it win.
+    A stop size, names, poses, coatings and object medium given beside the file take precedence.
     """
     if lens.file is None:
         return lens
@@ -145,14 +145,14 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a TOML file, UTF-8.
+    """Return the text of a TOML file in UTF-8.
 
     Raises
     ------
     OSError
-        It cannot be read.
+        The file cannot be read.
     SceneError
-        It has more than `MOST_BYTES`, as a device that never ends.
+        The file has more than `MOST_BYTES`, or never ends, as a device does.
     UnicodeDecodeError
     """
     with open_regular(path) as file:
@@ -163,16 +163,16 @@ def read_text(path: Path) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return what a TOML text holds; a byte order mark before it is no part of it.
+    """Parse TOML text; a leading byte order mark is ignored.
 
     Raises
     ------
     TOMLDecodeError
         A subclass of ValueError.
     RecursionError
-        Tables stand too deep in one another; a dotted key with too many parts is not even read.
+        Tables are nested too deep, or a dotted key has too many parts.
     ValueError
-        An integer of thousands of digits, or a date that no calendar has.
+        An integer has thousands of digits, or a date is impossible.
     """
     if _LONG_KEY.search(text):
         raise RecursionError(_TOO_DEEP)
@@ -192,19 +192,19 @@ def _parse(text: str, name: str) -> dict[str, Any]:
     except RecursionError:
         raise SceneError(f"{name}: {_TOO_DEEP}") from None
     except ValueError:
-        # Python refuses to read integers of more than some 4300 digits, and dates that no calendar has.
+        # Python refuses integers of more than about 4,300 digits and impossible dates.
         raise SceneError(f"{name}: holds an integer of thousands of digits, or an impossible date or time") from None
     _check_bounds(data, name)
     return data
 
 
 def _check_bounds(data: dict[str, Any], name: str) -> None:
-    """Refuse nesting and integers that no validator or message can deal with; as a loop, since nesting is its subject.
+    """Refuse nesting and integers that no validator or message can handle; iterative, to survive deep nesting.
 
     Raises
     ------
     SceneError
-        Naming where they stand.
+        With the path of the fault.
     """
     level: list[tuple[tuple[str | int, ...], Any]] = [((), data)]
     for _ in range(DEEPEST_TABLE):
@@ -248,7 +248,7 @@ def _scene(data: dict[str, Any], folder: Path, name: str) -> Scene:
 
 
 def _warn_of_other_light(scene: Scene, file: str, wavelengths_nm: tuple[float, ...]) -> None:
-    """Warn where a scene without wavelengths of its own is traced at another one than its lens file's primary."""
+    """Warn if a scene without wavelengths of its own is traced at another one than its lens file's primary."""
     chosen = scene.camera.sensor.bands is not None or "wavelengths_nm" in scene.transport.model_fields_set
     if chosen or abs(wavelengths_nm[0] - scene.primary_nm) <= SAME_LINE_NM:
         return
@@ -262,23 +262,23 @@ def _warn_of_other_light(scene: Scene, file: str, wavelengths_nm: tuple[float, .
 
 
 def _lens_with_file(data: dict[str, Any]) -> dict[str, Any] | None:
-    """Return a copy of the table of the lens, if it names a file."""
+    """Return a copy of the lens table if it names a file."""
     camera = data.get("camera")
     lens = camera.get("lens") if isinstance(camera, dict) else None
     return dict(lens) if isinstance(lens, dict) and isinstance(lens.get("file"), str) else None
 
 
 def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[str, str], tuple[float, ...]]:
-    """Put the contents of a lens file into the scene's tables, before these are checked.
+    """Put the contents of a lens file into the scene's unchecked tables.
 
     Returns
     -------
     faults : list of str
-        Why the file could not be read.
+        Reasons why the file could not be read.
     origin : dict
-        Which paths of the scene now come from which file.
+        File that each path of the scene now comes from.
     wavelengths_nm : tuple of float
-        Of a file of another program, the primary one first.
+        Wavelengths of another program's file, the primary one first.
     """
     camera = data.get("camera")
     lens = camera.get("lens") if isinstance(camera, dict) else None
@@ -305,14 +305,14 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
 
 
 def _choices_in(folder: Path, lens: Lens) -> FileChoices:
-    """Return the choices that a lens makes from its file, with paths relative to a folder."""
+    """Return the file choices of a lens, with paths relative to a folder."""
     choices = lens.file_choices
     given = choices.coating_file
     return choices if given is None else replace(choices, coating_file=str(folder / given))
 
 
 def _lens_path(file: str, folder: Path) -> Path:
-    """Return the path of a lens file, or of the lens of the library that is named."""
+    """Return the path of a lens file or of a library lens."""
     if not file.startswith(LIBRARY):
         return folder / file
     name = file.removeprefix(LIBRARY).strip()
@@ -323,12 +323,12 @@ def _lens_path(file: str, folder: Path) -> Path:
 
 
 def library() -> list[str]:
-    """Return the names of the lenses that come with lfmesh; "lib:" before one stands for its file."""
+    """Return the names of the library's lenses, without "lib:"."""
     return sorted(_library())
 
 
 def _library() -> dict[str, Path]:
-    """Return the files of the lenses that come with lfmesh: those of the examples, and the catalogue beside them."""
+    """Return the files of the library: the lenses of the examples and of the catalogue."""
     try:
         return {path.stem: path for path in asset_path("lenses").rglob("*.toml")}
     except FileError as error:
@@ -336,7 +336,7 @@ def _library() -> dict[str, Path]:
 
 
 def _lens_table(path: Path, choices: FileChoices) -> tuple[dict[str, Any], tuple[float, ...]]:
-    """Return the keys of a lens file, whatever program it is of, and the wavelengths of another program's, in nm."""
+    """Return the keys of any lens file and, if it is another program's, its wavelengths in nm."""
     if reader := reader_of(path):
         lens, wavelengths_nm = reader(path, choices)
         return lens.model_dump(exclude_defaults=True), wavelengths_nm
@@ -344,7 +344,7 @@ def _lens_table(path: Path, choices: FileChoices) -> tuple[dict[str, Any], tuple
 
 
 def _own_table(path: Path, choices: FileChoices) -> dict[str, Any]:
-    """Return the keys of a TOML file of a lens, which leaves no choices open."""
+    """Return the keys of a lens in TOML, which has no file choices."""
     for key in choices.given():
         raise SceneError(f"{path}: {key} can be chosen for {', '.join(endings())} files only")
     return with_tables_beside(_read(path), path.parent)

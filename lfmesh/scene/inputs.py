@@ -1,4 +1,4 @@
-"""Files that a scene reads: listing them, and finding again those that a run was rendered with."""
+"""Files that a scene reads, and files that a run was rendered with."""
 
 import hashlib
 import time
@@ -13,21 +13,21 @@ from lfmesh.regular_file import open_regular
 from lfmesh.scene.quantities import FilePath
 
 COPIES = "inputs"
-"""Folder of a run that holds copies of what its scene reads."""
+"""Folder of a run that holds copies of the scene's input files."""
 
 FRESH_NS = 3_000_000_000
-"""Age below which the times of a file do not yet tell whether it was written once or twice: FAT keeps two seconds."""
+"""Age below which file times cannot show that a file was written twice (FAT's resolution is two seconds)."""
 
 STAMPED_FILES = 1024
-"""Files of which a cache by stamps keeps something."""
+"""Number of files that a cache keyed by stamps remembers."""
 
 _MARKS = [mark for mark in get_args(FilePath) if isinstance(mark, AfterValidator)]
 
 
 def files_of(model: BaseModel, where: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the files that a model and its parts name: their place in it, as `Scene.changed` takes it, and their path.
+    """Yield the files that a model and its parts name, as pairs of key path (see `Scene.changed`) and file path.
 
-    Lens files are not among them: they are read into the scene before it is traced.
+    Lens files are excluded: the scene contains their contents.
     """
     for key, field in type(model).model_fields.items():
         value = getattr(model, key)
@@ -48,7 +48,7 @@ def files_of(model: BaseModel, where: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _names_a_file(annotation: Any) -> bool:
-    """Tell whether a type, or one that it is a union of, is `FilePath`."""
+    """Tell whether a type is `FilePath` or a union that contains it."""
     arguments = get_args(annotation)
     return any(mark in arguments for mark in _MARKS) or any(_names_a_file(argument) for argument in arguments)
 
@@ -60,10 +60,9 @@ def digest_of(path: Path) -> str:
 
 
 def file_stamp(path: Path) -> tuple[object, ...]:
-    """Return a stamp of a file that changes with its contents; () if it is missing.
+    """Return a stamp that changes with a file's contents, or () if the file is missing.
 
-    Times of files have the grain of a clock, so that two writes within one tick leave the same ones: of a file that was
-    changed just now, the contents are part of the stamp.
+    Two writes within one clock tick leave the same times, so the stamp of a file that just changed includes its digest.
     """
     try:
         state = path.stat()
@@ -75,21 +74,21 @@ def file_stamp(path: Path) -> tuple[object, ...]:
 
 
 def found(path: Path, digest: str, folder: Path) -> Path:
-    """Find the file that a run was rendered with: at its path, or by its name beside or in the run's folder.
+    """Find the file that a run was rendered with: at its path, or by name in the run's folder or beside it.
 
     Parameters
     ----------
     path : Path
-        Where the scene says that it is.
+        Path that the scene gives.
     digest : str
-        Its SHA-256 then.
+        SHA-256 of the file when the run began.
     folder : Path
-        Of the run.
+        Folder of the run.
 
     Raises
     ------
     FileError
-        It is not there, or is there with other contents.
+        The file is missing or its contents have changed.
     """
     places = dict.fromkeys([path, folder / COPIES / path.name, folder / path.name, folder.parent / path.name])
     present = [place for place in places if place.is_file()]

@@ -1,4 +1,4 @@
-"""The lenses that come with lfmesh, in a line each."""
+"""The lenses of the library, one line each."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ class Entry:
     Attributes
     ----------
     name : str
-        What stands behind "lib:" in a scene file.
+        Name that follows "lib:" in a scene file.
     lens : Lens
     efl_mm : float
         Focal length at the d line.
@@ -37,7 +37,7 @@ class Entry:
 
 
 def entries() -> list[Entry]:
-    """Return the lenses of the library by name."""
+    """Return the lenses of the library, in order of name."""
     return [_entry(name) for name in library()]
 
 

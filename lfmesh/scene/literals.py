@@ -1,4 +1,4 @@
-"""Values in messages: as TOML writes them, and shares of the light."""
+"""Values in messages: TOML literals, counts, percentages and rounded numbers."""
 
 import json
 import math
@@ -6,35 +6,35 @@ from collections.abc import Mapping
 from typing import Any
 
 LONGEST_BITS = 1024
-"""Integers with more binary digits are described, not written out."""
+"""Integers with more bits are described rather than written out."""
 
 
 DEEPEST = 8
-"""Lists and tables further inside are not written out."""
+"""Lists and tables nested deeper are not written out."""
 
 
 MOST_PLAIN = 1e6
-"""Numbers below this one are written without an exponent."""
+"""Numbers below this are written without an exponent."""
 
 
 def shown_path(path: object) -> str:
-    """Return a path for a message: on one line, whatever characters it holds."""
+    """Return a path as one printable line, whatever characters it holds."""
     return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in str(path))
 
 
 def literal(value: Any, depth: int = 0) -> str:
-    """Return a number, text, list or inline table as TOML; anything else as Python shows it."""
+    """Return a number, text, list or inline table as TOML, and anything else as its repr."""
     if depth > DEEPEST and isinstance(value, Mapping | list | tuple):
         return "..."
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # JSON escapes text as TOML does, but for the delete character, which JSON leaves alone.
+        # JSON escapes text as TOML does, except for the delete character.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, float) and math.isinf(value):
         return "inf" if value > 0 else "-inf"
     if isinstance(value, int) and abs(value).bit_length() > LONGEST_BITS:
-        # Python refuses to write integers of thousands of digits in decimals.
+        # Python refuses to write integers of thousands of decimal digits.
         return f"an integer of some {round(abs(value).bit_length() * math.log10(2))} digits"
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {literal(item, depth + 1)}" for key, item in value.items()) + " }"
@@ -44,12 +44,12 @@ def literal(value: Any, depth: int = 0) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Write a number of things whose plural ends in s: ``1 path``, ``2,000 paths``."""
+    """Write a count with its noun and a plural s: ``1 path``, ``2,000 paths``."""
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def percent(share: float) -> str:
-    """Write a share as a percentage of three digits, 0 % and 100 % only where it is exactly that."""
+    """Write a fraction as a percentage of three digits. Only exact values become 0 % or 100 %."""
     if 0.0 < share < 1e-6:
         return "less than 0.0001 %"
     if 0.9995 <= share < 1.0:
@@ -58,18 +58,18 @@ def percent(share: float) -> str:
 
 
 def plain(value: float, digits: int) -> str:
-    """Write a number in so many digits, without an exponent where that is not needed: ``100``, not ``1e+02``."""
+    """Write a number to so many digits, preferably without an exponent: ``100``, not ``1e+02``."""
     text = f"{value:.{digits}g}"
     return f"{float(text):.0f}" if "e+" in text and abs(value) < MOST_PLAIN else text
 
 
 def at_least(value: float) -> str:
-    """Return a number in six digits, rounded up: where `value` or more is valid, so is what is written."""
+    """Write a lower limit to six digits, rounded up so that the written number satisfies it."""
     return _rounded(value, math.inf)
 
 
 def at_most(value: float) -> str:
-    """Return a number in six digits, rounded down: where `value` or less is valid, so is what is written."""
+    """Write an upper limit to six digits, rounded down so that the written number satisfies it."""
     return _rounded(value, -math.inf)
 
 

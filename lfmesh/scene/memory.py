@@ -6,16 +6,16 @@ from functools import cache
 
 @cache
 def physical_memory_bytes() -> int:
-    """Return the memory of this machine."""
+    """Return the physical memory of this machine."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
-        # Windows has no sysconf: refuse only what no machine holds.
+        # Windows has no sysconf: refuse only sizes that no machine has.
         return 2**44
 
 
 def fits_into_memory(size: float) -> bool:
-    """Return True where this machine has enough memory.
+    """Return True if this machine has enough memory.
 
     Parameters
     ----------

@@ -1,8 +1,7 @@
 """The base of every scene model: strict, frozen, and reporting all faults of a file at once.
 
-Each model says what pydantic cannot know about it in `faults`. Those and pydantic's own findings travel
-upwards as one list, so that the outermost caller can name the whole path of each:
-`camera.lens.surfaces[3].radius_mm`.
+`faults` yields the faults that pydantic cannot find. They travel upwards in one list with pydantic's, so that the
+outermost caller can give the whole path of each: `camera.lens.surfaces[3].radius_mm`.
 """
 
 import difflib
@@ -29,13 +28,13 @@ else:
     ModelMetaclass = type(BaseModel)
 
 MOST_FAULTS = 20
-"""Faults that one message lists."""
+"""Maximum number of faults in one message."""
 
 LONGEST_KEY = 60
-"""Characters of a key that a message shows."""
+"""Maximum number of characters of a key in a message."""
 
 NOT_TRIED = "default_factory_not_called"
-"""Pydantic's type of error for a default that depends on a faulty field, which is reported by itself."""
+"""Pydantic's error type for a default that depends on a faulty field; that field has a fault of its own."""
 
 Location = tuple[str | int, ...]
 
@@ -54,7 +53,7 @@ class _Verbatim(str):
 
 
 class Fault(NamedTuple):
-    """One thing wrong with a model: where in the model, the value found, and what would be valid."""
+    """One fault of a model: its location, the value found, and what would be valid."""
 
     where: Location
     value: Any
@@ -62,22 +61,22 @@ class Fault(NamedTuple):
 
 
 class _ModelClass(ModelMetaclass):
-    """Makes a call from Python end in a `SceneError`, as a file does, without touching nested validation."""
+    """Turns invalid calls from Python into a `SceneError`, as for files, without touching nested validation."""
 
     def __call__(cls, *args: Any, **values: Any) -> Any:  # noqa: N805
         try:
             return super().__call__(*args, **values)
         except ValidationError as error:
-            # Python gives the content of a `StudyFile` to a `Study`.
+            # A `Study` in Python has the contents of a `StudyFile`.
             prefix = cls.__name__.removesuffix("File")
             raise SceneError("\n".join(listed(fault_lines(error, values, prefix=prefix)))) from None
 
 
 class Model(BaseModel, metaclass=_ModelClass):
-    """A part of the scene: immutable, no unknown keys, no NaN, no infinity unless a field allows it."""
+    """A part of the scene: immutable, without unknown keys or NaN, and finite unless a field allows infinity."""
 
     elsewhere: ClassVar[Mapping[str, str]] = {}
-    """Hints on keys that belong to another part and are looked for in this one, by the key."""
+    """Hints for keys that belong to another part but are often put here, by key."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -88,14 +87,14 @@ class Model(BaseModel, metaclass=_ModelClass):
     )
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        """Yield the fields that differ from their defaults, as a scene file would hold them; long lists are cut."""
+        """Yield the fields that differ from their defaults, as in a scene file, with long lists shortened."""
         for name, value in super().__repr_args__():
             field = type(self).model_fields.get(str(name))
             if field is None or value != field.get_default(call_default_factory=True, validated_data=self.__dict__):
                 yield name, _Verbatim(_CUT.repr(value))
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between fields that are right by themselves."""
+        """Yield faults between fields that are valid on their own."""
         return iter(())
 
     @model_validator(mode="wrap")
@@ -118,18 +117,17 @@ class Model(BaseModel, metaclass=_ModelClass):
 def fault_lines(
     error: ValidationError, data: Any, prefix: str = "", origin: Mapping[str, str] | None = None
 ) -> list[str]:
-    """Return one line a fault: its path, the value, what is valid.
+    """Return one line per fault: its path, the value, and valid values.
 
     Parameters
     ----------
     error : ValidationError
     data : object
-        What was validated; tells the keys of the file from the tags that pydantic puts into a union's
-        location.
+        The validated data, which tells keys of the file from pydantic's tags of unions.
     prefix : str
-        What the paths start with.
+        Beginning of every path.
     origin : mapping of path to file, optional
-        Names the file that everything under a path was read from.
+        File that everything under a path was read from.
     """
     lines = []
     for detail in error.errors():
@@ -140,13 +138,13 @@ def fault_lines(
 
 
 def listed(lines: list[str]) -> list[str]:
-    """Return the first faults of a list, and how many more there are."""
+    """Return the first faults of a list and the number of the remaining ones."""
     more = len(lines) - MOST_FAULTS
     return [*lines[:MOST_FAULTS], f"and {more} more"] if more > 0 else lines
 
 
 def format_path(location: Iterable[str | int], prefix: str = "") -> str:
-    """Write a location the way a reader of the file would: `targets[0].shape.radius_mm`."""
+    """Write a location as a reader of the file would: `targets[0].shape.radius_mm`."""
     path = prefix
     for step in location:
         key = step if isinstance(step, int) else _short_key(step)
@@ -160,20 +158,20 @@ def _short_key(key: str) -> str:
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:
-    """Return " (did you mean 'x'?)" if a valid name is close to `name`, else nothing."""
+    """Return " (did you mean 'x'?)" if a valid name is close to `name`, else an empty string."""
     close = difflib.get_close_matches(name, list(valid), n=1, cutoff=0.6)
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
 def dead_end(place: Any, step: str | int, location: Iterable[str | int]) -> str | None:
-    """Return why a path cannot go on from a value; None from tables and where it can.
+    """Return the reason why a path cannot continue from a value, or None if it can.
 
     Parameters
     ----------
     place : object
         The value.
     step : str or int
-        Key or number by which the path goes on.
+        Next key or index of the path.
     location : iterable of str or int
         Path to the value.
     """
@@ -189,14 +187,14 @@ def dead_end(place: Any, step: str | int, location: Iterable[str | int]) -> str 
 
 
 def _plain(data: Any) -> Any:
-    """Turn NumPy scalars and arrays into numbers and lists, so that scripts may pass either."""
+    """Turn NumPy scalars and arrays into numbers and lists, so that scripts may pass them."""
     if isinstance(data, Mapping):
         return {key: _plain_value(value) for key, value in data.items()}
     return data
 
 
 def _plain_value(value: Any) -> Any:
-    # Models, of which most values are in a scene that is changed, are slow to say that they have no such method.
+    # Most values of a changed scene are models, on which a failing hasattr is slow.
     return value.tolist() if not isinstance(value, Model) and hasattr(value, "tolist") else value
 
 
@@ -213,7 +211,7 @@ def _as_error(cls: type[Model], faults: Iterable[Fault]) -> ValidationError:
 
 
 class _Worded(str):
-    """The text of a fault that already carries its value, from a model further inside."""
+    """Text of a nested model's fault, which already contains the value."""
 
     __slots__ = ()
 
@@ -225,7 +223,7 @@ def _sentence(fault: Fault) -> str:
 
 
 def _shown(value: Any) -> str:
-    """Return " = 3.0" for a value worth printing, nothing for a missing one or a whole table."""
+    """Return " = 3.0" for a value worth printing, and nothing for a missing one or a whole table."""
     if value is None or isinstance(value, Mapping | BaseModel):
         return ""
     text = literal(value)
@@ -239,9 +237,9 @@ def _short(limit: Any) -> str:
 
 
 def _follows(detail: ErrorDetails) -> bool:
-    """Tell whether pydantic found this fault only because of another one, which it reports too.
+    """Tell whether this fault only follows from another one, which pydantic reports too.
 
-    A default that depends on a faulty field is not made, and faulty entries of a list do not count in its length.
+    Defaults that depend on a faulty field are not made, and faulty entries do not count in a list's length.
     """
     if detail["type"] == "too_short":
         return len(detail["input"]) >= detail["ctx"]["min_length"]
@@ -253,7 +251,7 @@ def _first_sentence(text: str) -> str:
 
 
 def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
-    """Say in the scene's terms what pydantic found, or pass on what a nested model has said already."""
+    """Restate a pydantic error in the scene's terms, or pass on the fault of a nested model."""
     where, value, kind, limits = detail["loc"], detail["input"], detail["type"], detail.get("ctx", {})
     if kind == "fault":
         return Fault(where, value, _Worded(detail["msg"]))
@@ -305,12 +303,12 @@ def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
 
 
 def kind_of(table: Mapping[str, Any]) -> Any:
-    """Return what the `kind` of a table says; of one with a file and without `kind`, "mesh"."""
+    """Return the `kind` of a table; without one, "mesh" if the table names a file."""
     return table.get("kind", "mesh" if "file" in table else None)
 
 
 def _without_tags(location: Location, data: Any) -> Location:
-    """Drop the tags of discriminated unions, which are no keys of the file."""
+    """Drop the tags of discriminated unions, which are not keys of the file."""
     kept: list[str | int] = []
     for step in location:
         if isinstance(step, str) and step.startswith("<"):

@@ -1,4 +1,4 @@
-"""Frames of a scene whose particles move: the scene some frames later, and the truth of an image pair."""
+"""Frames of a scene with moving particles: the scene some frames later, and the truth of an image pair."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def displaced(scene: Scene, frames: int = 1) -> Scene:
-    """Return a scene some frames later: all particles with a displacement have moved so many times.
+    """Return the scene some frames later: particles with a displacement have moved once per frame.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def displaced(scene: Scene, frames: int = 1) -> Scene:
     Raises
     ------
     SceneError
-        None of its particles moves.
+        No particle moves.
     """
     moving = [i for i, group in enumerate(scene.particles) if group.displacement is not None]
     if not moving:
@@ -37,7 +37,7 @@ def displaced(scene: Scene, frames: int = 1) -> Scene:
 
 
 def particle_vectors(scene: Scene) -> tuple[Array, Array]:
-    """Return where all particles of a scene are, and how far they go to the next frame: the truth of an image pair.
+    """Return the positions of all particles and their displacements to the next frame.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def particle_vectors(scene: Scene) -> tuple[Array, Array]:
     Returns
     -------
     points, steps : (n, 3) float64, mm
-        World frame, in the order of the scene, of dark particles too.
+        World frame, in the order of the scene, dark particles included.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def particle_vectors(scene: Scene) -> tuple[Array, Array]:
 
 
 def write_vectors(path: Path, points: Array, steps: Array) -> None:
-    """Write places and displacements as CSV, in the columns that `displacement = { kind = "file" }` reads.
+    """Write positions and displacements as CSV, in the columns that `displacement = { kind = "file" }` reads.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def write_vectors(path: Path, points: Array, steps: Array) -> None:
     Raises
     ------
     FileError
-        It cannot be written.
+        The file cannot be written.
     """
     try:
         table = np.hstack([points, steps])

@@ -1,6 +1,6 @@
-"""The kinds of values that scene files hold, each with the check it can make by itself.
+"""Types of values in scene files, with the checks that need no other value.
 
-All are strict: a number in quotes or a boolean is a slip, not a number.
+All are strict: a boolean or a number in quotes is not a number.
 """
 
 import math
@@ -16,9 +16,9 @@ from lfmesh.regular_file import why_no_file
 T = TypeVar("T")
 
 LARGEST = 1e15
-"""Largest magnitude of a number in a scene, in its unit: products of a few of them stay far from overflow."""
+"""Largest magnitude of a number in a scene, in its unit; products of a few such numbers do not overflow."""
 SMALLEST = 1e-30
-"""Smallest positive number where 0 is not allowed: its reciprocal, squared, stays far from overflow."""
+"""Smallest positive number where 0 is not allowed; its squared reciprocal does not overflow."""
 LARGEST_COUNT = 2**31 - 1
 LARGEST_WHOLE = 2**63 - 1
 
@@ -35,7 +35,7 @@ NonNegative = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]
 Whole = Annotated[int, Field(strict=True, ge=0, le=LARGEST_WHOLE)]
 Count = Annotated[int, Field(strict=True, ge=1, le=LARGEST_COUNT)]
 Coefficient = Annotated[float, Field(strict=True)]
-"""A number of any magnitude: coefficients of high powers are tiny or huge."""
+"""A number of any magnitude, for coefficients of high powers, which may be tiny or huge."""
 Flag = Annotated[bool, Field(strict=True)]
 Text = Annotated[str, Field(strict=True)]
 FractionOfOne = Annotated[float, Field(strict=True, ge=0, le=1)]
@@ -78,7 +78,7 @@ def _bends(value: float) -> float:
 
 def not_empty(values: tuple[T, ...]) -> tuple[T, ...]:
     """Refuse an empty list."""
-    # pydantic's own least length is counted without the values that are refused, and would be a second fault.
+    # Pydantic counts its minimum length without refused values, which would add a second fault.
     if not values:
         raise ValueError("must not be empty")
     return values
@@ -101,12 +101,12 @@ def _known_metal(name: str) -> str:
 
 
 def path_fault(path: str) -> str | None:
-    """Return why no file can have this name; None if one can."""
+    """Return the reason why no file can have this name, or None."""
     return "a file's name holds no NUL character" if "\0" in path else None
 
 
 def _existing(path: str, info: ValidationInfo) -> str:
-    """Look for a file, where it is known which folder its path starts from."""
+    """Require the file to exist, if the folder that its path starts from is known."""
     if why := path_fault(path):
         raise ValueError(why)
     folder = (info.context or {}).get("folder")
@@ -131,7 +131,7 @@ def _share_or_alpha(value: Any) -> Any:
 
 
 def as_list(value: Any) -> Any:
-    """Let a single number stand for a list of one."""
+    """Accept a single number as a list of one."""
     return value if value is None or isinstance(value, list | tuple) else [value]
 
 
@@ -142,23 +142,23 @@ FocalLength = Annotated[float, Field(strict=True, allow_inf_nan=True), AfterVali
 """A focal length in mm, of either sign; inf has no power."""
 
 ObjectDistance = Annotated[float, Field(strict=True, allow_inf_nan=True), AfterValidator(_a_distance_or_infinity)]
-"""A distance of objects in mm, above 0; inf is at infinity."""
+"""An object distance in mm, above 0; inf is at infinity."""
 
 GlassName = Annotated[str, Field(strict=True), AfterValidator(_known_glass)]
-"""A glass of the catalogue."""
+"""A glass in the catalogue."""
 
 MetalName = Annotated[str, Field(strict=True), AfterValidator(_known_metal)]
-"""A metal of the catalogue."""
+"""A metal in the catalogue."""
 
 Opacity = Annotated[
     float | Literal["texture_alpha"],
     PlainValidator(_share_or_alpha),
     WithJsonSchema({"anyOf": [{"type": "number", "minimum": 0, "maximum": 1}, {"const": "texture_alpha"}]}),
 ]
-"""A share from 0 to 1, or the name of where it stands."""
+"""A fraction from 0 to 1, or the texture channel that holds it."""
 
 NodeKey = Annotated[Text | Whole, Field(union_mode="left_to_right")]
-"""A node of a glTF file, by its name or its number from 0."""
+"""A node of a glTF file, by name or by index from 0."""
 
 FilePath = Annotated[str, Field(strict=True), AfterValidator(_existing)]
 """A file, relative to the scene file."""
@@ -171,7 +171,7 @@ number_per_type_schema = WithJsonSchema(
         ]
     }
 )
-"""JSON Schema of a number, or a list of up to three: one a lenslet type."""
+"""JSON Schema of a number, or a list of up to three: one per lenslet type."""
 
 OneOrMore = Annotated[
     tuple[Annotated[Number, AfterValidator(_bends)], ...],
@@ -180,14 +180,14 @@ OneOrMore = Annotated[
     BeforeValidator(as_list),
     number_per_type_schema,
 ]
-"""A number other than 0, or a list of up to three: one a lenslet type."""
+"""A nonzero number, or a list of up to three: one per lenslet type."""
 
 SHORTEST, LONGEST = 1e-100, 1e100
-"""Lengths of a vector that is a direction: beyond them its square is no number."""
+"""Limits on the length of a direction vector, outside which its square overflows or underflows."""
 
 
 def no_direction(vector: tuple[float, ...]) -> str:
-    """Return in words why a vector gives no direction; "" if it does."""
+    """Return the reason why a vector gives no direction, or "" if it does."""
     if not any(vector):
         return "must not be the zero vector"
     if not SHORTEST <= math.hypot(*vector) <= LONGEST:

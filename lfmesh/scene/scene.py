@@ -1,4 +1,4 @@
-"""The whole scene: what a scene file holds, and what a script builds."""
+"""The whole scene, read from a scene file or built by a script."""
 
 import hashlib
 import json
@@ -22,9 +22,9 @@ def _number(things: tuple[object, ...], name: str) -> str:
 
 
 class Scene(SceneParts, Shown):
-    """A camera, what stands in front of it, and how to trace it.
+    """A camera, the objects in front of it, and the settings of a render.
 
-    Two scenes are equal when all their fields are; the folder that relative paths start from does not count.
+    Two scenes are equal if all their fields are; the folder of relative paths does not count.
     """
 
     def __repr__(self) -> str:
@@ -40,8 +40,8 @@ class Scene(SceneParts, Shown):
     def at_line(self, wavelength_nm: float) -> "Scene":
         """Return the scene at a single wavelength, in place of its wavelengths or bands.
 
-        Spectra of light have no power at a single one. What they stand for shines with an even spectrum instead, and
-        a surface with a temperature or a spectrum of radiance with 1 W/(m² sr).
+        A spectrum has no power at a single wavelength, so every spectrum is replaced by an even one. Surfaces and
+        media with a temperature or a spectral radiance emit 1 W/(m² sr) or 1 W/(mm³ sr) instead.
 
         Parameters
         ----------
@@ -71,7 +71,7 @@ class Scene(SceneParts, Shown):
 
     @property
     def digests(self) -> dict[str, str]:
-        """SHA-256 by path of the files that a run was rendered with; empty where any contents will do."""
+        """SHA-256 of the files that a run was rendered with, by path; empty if any contents are accepted."""
         return dict(self._digests)
 
     def in_folder(self, folder: str | Path) -> "Scene":
@@ -91,7 +91,7 @@ class Scene(SceneParts, Shown):
         return copy
 
     def with_digests(self, digests: dict[str, str]) -> "Scene":
-        """Return the same scene, whose files must have these SHA-256, by their paths.
+        """Return the same scene, with the SHA-256 that each of its files must have.
 
         Parameters
         ----------
@@ -107,9 +107,9 @@ class Scene(SceneParts, Shown):
         return copy
 
     def pinned(self) -> "Scene":
-        """Return the same scene, whose files have to stay what they are now, as they are read more than once.
+        """Return the same scene with its files pinned to their present contents.
 
-        Files that have digests already keep them.
+        Files that already have a digest keep it.
 
         Returns
         -------
@@ -120,15 +120,15 @@ class Scene(SceneParts, Shown):
         return self.with_digests(self._digests | {name: digest_of(path) for name, path in there.items()})
 
     def changed(self, values: dict[str, Any], *, solves: bool = False) -> "Scene":
-        """Return a copy with some values replaced, checked like a file.
+        """Return a copy with some values replaced, validated like a file.
 
         Parameters
         ----------
         values : dict
-            New value by path, such as {"camera.mla.pitch_mm": 0.1, "targets[0].position_mm": [0, 0, -400]};
-            None takes an optional value out.
+            New value by path, such as {"camera.mla.pitch_mm": 0.1, "targets[0].position_mm": [0, 0, -400]}.
+            None removes an optional value.
         solves : bool
-            They are what follows from the scene itself, so that its lens stays the one of its file.
+            True if the values follow from the scene itself, which keeps its lens file.
 
         Returns
         -------
@@ -139,12 +139,12 @@ class Scene(SceneParts, Shown):
         SceneError
             A path leads nowhere, or the changed scene is not valid.
         """
-        # What no path leads through stays the model that it is, and is not checked again.
+        # Values off every path stay the models that they are, and are not checked again.
         data = opened(self)
         table = self._lens_table
         chosen = {("camera", "lens", key) for key in FILE_CHOICES}
         if table is not None and any(steps_of(path)[:3] in chosen for path in values):
-            # The lens file is read again, when the scene is solved.
+            # The lens file is read again when the scene is solved.
             data["camera"] = opened(data["camera"]) | {"lens": dict(table)}
         for path, value in values.items():
             steps = steps_of(path)
@@ -165,12 +165,12 @@ class Scene(SceneParts, Shown):
         return scene
 
     def camera_alone(self, values: dict[str, Any] | None = None) -> "Scene":
-        """Return a copy with nothing before the camera: no targets, lights, media, particles and tanks.
+        """Return a copy with an empty object space: no targets, lights, media, particles or tanks.
 
         Parameters
         ----------
         values : dict, optional
-            What else is replaced, as in `changed`.
+            Other values to replace, as in `changed`.
 
         Returns
         -------
@@ -180,7 +180,7 @@ class Scene(SceneParts, Shown):
         return self.changed(empty | (values or {}))
 
     def dump_toml(self) -> str:
-        """Return the scene as TOML that loads to an equal scene; defaults are left out.
+        """Return the scene as TOML that loads to an equal scene, without defaults.
 
         Returns
         -------
@@ -203,15 +203,15 @@ class Scene(SceneParts, Shown):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all fields, defaults included, as canonical JSON; the contents of files do not enter."""
-        # A scene does not change, and is asked for it dozens of times while it is rendered.
+        """SHA-256 of all fields, defaults included, as canonical JSON; contents of files are excluded."""
+        # A scene does not change, and a render asks for its digest dozens of times.
         if not self._digest:
             text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
             self._digest = hashlib.sha256(text.encode()).hexdigest()
         return self._digest
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> "Scene":
-        """Return a copy with some fields replaced, which are not checked; `changed` checks them."""
+        """Return a copy with some fields replaced without checks; `changed` checks them."""
         copy = super().model_copy(update=update, deep=deep)
         if update:
             copy._digest = ""
@@ -224,5 +224,5 @@ class Scene(SceneParts, Shown):
         return hash(self.digest)
 
     def faults(self) -> Iterator[Fault]:
-        """Yield the faults that only the whole scene shows."""
+        """Yield faults that concern several parts of the scene."""
         yield from scene_faults(self)

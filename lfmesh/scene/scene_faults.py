@@ -1,4 +1,4 @@
-"""Faults that only the whole scene shows: glasses at its wavelengths, lenslet radii, coatings, memory."""
+"""Faults that concern several parts of a scene: glasses at its wavelengths, lenslet radii, coatings, memory."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -16,8 +16,8 @@ from lfmesh.scene.model import Fault, Location
 from lfmesh.scene.scene_parts import SceneParts
 from lfmesh.scene.settings.transport import PRIMARY_NM
 
-# Mean, squared deviation and the replicate under way, in float64, and two counts of hits, with what merging and writing
-# need on top.
+# Bytes per pixel and channel: mean, squared deviation and current replicate in float64, two hit counts, and room for
+# merging and writing.
 FILM_BYTES = 48
 LENSLET_BYTES = 32
 
@@ -25,7 +25,7 @@ NEEDS_BANDS = "needs camera.sensor.bands: a spectrum of light has power by the n
 
 
 def scene_faults(scene: SceneParts) -> Iterator[Fault]:
-    """Yield the faults that only the whole scene shows: glasses at its wavelengths, lenslet radii, memory.
+    """Yield the faults that concern several parts of a scene.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def scene_faults(scene: SceneParts) -> Iterator[Fault]:
 
 
 def _body_faults(scene: SceneParts) -> Iterator[Fault]:
-    """Yield media in bodies that are not there."""
+    """Yield media inside bodies that do not exist."""
     for i, medium in enumerate(scene.media):
         if medium.inside is not None:
             try:
@@ -56,7 +56,7 @@ def _body_faults(scene: SceneParts) -> Iterator[Fault]:
 
 
 def _checked_nm(scene: SceneParts) -> tuple[float, ...]:
-    """Wavelengths at which glasses are looked for before anything is built; none if they stand in a file."""
+    """Wavelengths for checking glasses before anything is built; none if they are in a file."""
     bands = scene.camera.sensor.bands
     if isinstance(bands, tuple) and any(band.response is not None for band in bands):
         return ()
@@ -64,7 +64,7 @@ def _checked_nm(scene: SceneParts) -> tuple[float, ...]:
 
 
 def _spectrum_faults(scene: SceneParts) -> Iterator[Fault]:
-    """Yield densities by wavelength that have no bands to be integrated over, and tables that are too short."""
+    """Yield spectral densities without bands to integrate over, and tables that are too short."""
     in_bands = scene.camera.sensor.bands is not None
     uses: list[tuple[Location, Any, bool]] = []
     for i, target in enumerate(scene.targets):
@@ -103,7 +103,7 @@ def _spectrum_faults(scene: SceneParts) -> Iterator[Fault]:
 
 
 def _band_faults(scene: SceneParts) -> Iterator[Fault]:
-    """Yield wavelengths beside bands, of which one set must be left out."""
+    """Yield single wavelengths given together with bands."""
     wavelengths_nm = scene.transport.wavelengths_nm
     if scene.camera.sensor.bands is not None and wavelengths_nm != (PRIMARY_NM,):
         yield Fault(
@@ -136,7 +136,7 @@ def _coating_faults(scene: SceneParts) -> Iterator[Fault]:
 
 
 def _polarisation_faults(scene: SceneParts) -> Iterator[Fault]:
-    """Yield what asks for polarised light where there is none, or has no known phases where there is."""
+    """Yield parts that need polarised light in a scene without it, and parts of unknown phase in a scene with it."""
     if not scene.transport.polarisation:
         states: list[tuple[Location, Any]] = [
             (("lights", i, "polarisation"), light.state) for i, light in enumerate(scene.lights)
@@ -185,7 +185,7 @@ def _polarisation_faults(scene: SceneParts) -> Iterator[Fault]:
 
 
 def _diffraction_faults(scene: SceneParts) -> Iterator[Fault]:
-    """Yield what keeps the diffraction of lenslets or stop from being followed."""
+    """Yield parts that rule out tracing the diffraction of lenslets or stop."""
     where, chosen, mla = ("transport", "diffraction"), scene.transport.diffraction, scene.camera.mla
     if chosen == "none":
         return
@@ -243,7 +243,7 @@ def _glass_faults(scene: SceneParts) -> Iterator[Fault]:
 
 
 def _absorption_faults(scene: SceneParts) -> Iterator[Fault]:
-    """Yield glasses of the camera whose internal transmittance is asked for and not known."""
+    """Yield glasses of the camera without the required internal transmittance."""
     if not scene.camera.absorption:
         return
     media: list[tuple[Location, GlassOrAir]] = [

@@ -1,4 +1,4 @@
-"""Parts of a scene, and what follows from them without a change: channels, bands, bodies, coatings, finishes, files."""
+"""Parts of a scene, and the channels, bands, bodies, coatings, finishes and files that follow from them."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +24,7 @@ from lfmesh.scene.settings.transport import Transport
 
 
 class SceneParts(Model):
-    """A camera, what stands in front of it, and how to trace it."""
+    """Fields of a scene, and the parts that follow from them."""
 
     schema_version: Literal[1] = 1
     """Version of this format."""
@@ -49,23 +49,23 @@ class SceneParts(Model):
 
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
     _digests: dict[str, str] = PrivateAttr(default_factory=dict)
-    # Table of the lens as the scene file has it, where that names a lens file, whose other choices may be asked for.
+    # Lens table of a scene file that names a lens file, kept in case that file must be read with other choices.
     _lens_table: dict[str, Any] | None = PrivateAttr(default=None)
     _found: dict[str, tuple[Path, tuple[object, ...]]] = PrivateAttr(default_factory=dict)
     _digest: str = PrivateAttr(default="")
 
     @property
     def folder(self) -> Path:
-        """Folder that relative paths start from: the scene file's; for a scripted scene the current one."""
+        """Folder that relative paths start from: the scene file's, or the current one for a scripted scene."""
         return self._folder
 
     def resolve(self, path: str | Path) -> Path:
-        """Return the path of a texture or mesh of this scene as one that can be opened.
+        """Return the full path of a texture or mesh of this scene.
 
         Parameters
         ----------
         path : str or Path
-            As the scene gives it.
+            Path that the scene gives.
 
         Returns
         -------
@@ -74,7 +74,7 @@ class SceneParts(Model):
         Raises
         ------
         FileError
-            The scene is that of a run, and the file is not the one that it was rendered with.
+            The file is not the one that the scene's run was rendered with.
         """
         name, place = str(path), self._folder / path
         if name not in self._digests:
@@ -87,12 +87,12 @@ class SceneParts(Model):
 
     @property
     def passbands(self) -> tuple[Passband, ...]:
-        """The bands of the sensor with their responses; none where the channels are single wavelengths.
+        """The sensor's bands with their responses; none if the channels are single wavelengths.
 
         Raises
         ------
         FileError
-            The file of a response cannot be used.
+            A response file cannot be used.
         """
         bands = self.camera.sensor.bands
         if bands is None:
@@ -113,18 +113,18 @@ class SceneParts(Model):
 
     @property
     def channel_names(self) -> tuple[str, ...]:
-        """Names of the bands; none where the channels are single wavelengths."""
+        """Names of the bands; none if the channels are single wavelengths."""
         return tuple(band.name for band in self.passbands)
 
     @property
     def wavelengths_nm(self) -> tuple[float, ...]:
-        """Wavelength of each channel, nm; of bands their `Centroids`."""
+        """Wavelength of each channel, nm; for bands, their `Centroids`."""
         bands = self.passbands
         return Centroids.of(bands) if bands else self.transport.wavelengths_nm
 
     @property
     def primary_nm(self) -> float:
-        """The wavelength of first-order optics, nm: of single ones the middle, of bands the centroid of the first."""
+        """Wavelength of first-order optics, nm: the middle wavelength, or the centroid of the first band."""
         if self.camera.sensor.bands is not None:
             return self.wavelengths_nm[0]
         known = sorted(self.transport.wavelengths_nm)
@@ -138,11 +138,11 @@ class SceneParts(Model):
 
     @property
     def all_coatings(self) -> dict[str, Coating]:
-        """The scene's coatings and those that the lens brings, by name."""
+        """Coatings of the scene and of its lens, by name."""
         return {**self.camera.lens.coatings, **self.coatings}
 
     def coating_uses(self) -> Iterator[tuple[Location, str]]:
-        """Yield where surfaces give the name of a coating, and the name.
+        """Yield the location and name of each coating that a surface uses.
 
         Yields
         ------
@@ -165,7 +165,7 @@ class SceneParts(Model):
                 yield ("targets", i, "refractor", "coating"), target.refractor.coating
 
     def bodies(self) -> tuple[tuple[str, int], ...]:
-        """Return the names of all bodies of glass and liquid, and their numbers among targets, tanks' bodies last.
+        """Return the names of all bodies of glass and liquid with their numbers among the targets; tanks come last.
 
         Returns
         -------
@@ -181,12 +181,12 @@ class SceneParts(Model):
         return tuple(found)
 
     def body_named(self, name: str) -> int:
-        """Return the number of a body of glass or liquid among the targets, where tanks' bodies come last.
+        """Return the number of a body of glass or liquid among the targets; bodies of tanks come last.
 
         Parameters
         ----------
         name : str
-            Such as "prism" or "tanks[0] liquid".
+            Name such as "prism" or "tanks[0] liquid".
 
         Returns
         -------
@@ -207,7 +207,7 @@ class SceneParts(Model):
         raise SceneError(f"no body of glass or liquid has this name; there {f'are {known}' if known else 'is none'}")
 
     def rough_in_camera(self) -> list[Location]:
-        """Return where lens and array are given a finish that scatters light.
+        """Return the locations of finishes that scatter light on the lens and array.
 
         Returns
         -------
@@ -217,7 +217,7 @@ class SceneParts(Model):
         return [where for where, finish in self.finishes() if finish.is_rough and where[0] == "camera"]
 
     def finishes(self) -> Iterator[tuple[Location, Finish]]:
-        """Yield where surfaces give a finish, and the finish.
+        """Yield the location of each surface's finish, and the finish.
 
         Yields
         ------

@@ -1,4 +1,4 @@
-"""Writing a scene as TOML: what a script built becomes a file that loads to the same scene."""
+"""Write a scene as TOML that loads to the same scene."""
 
 from typing import Any
 
@@ -6,18 +6,18 @@ import tomlkit
 
 from lfmesh.scene.model import Model
 
-# Keys that say how to read the rest stand in the file even where they have their default.
+# Keys that say how to read the others are written even with their default.
 _ALWAYS = ("schema_version", "kind")
 
-# Tables that stand in one line, and lists of tables with a line each.
+# Tables written inline, and lists of tables with one line per table.
 _IN_LINE = ("shape",)
 _A_LINE_EACH = ("surfaces", "layers")
 
 
 def table(model: Model) -> dict[str, Any]:
-    """Return a model as plain tables, lists and values, in file order, without what has its default.
+    """Return a model as plain tables, lists and values, in file order, without defaults.
 
-    A default that follows from other fields is written, so that the scene stays the same should the rule ever change.
+    Defaults derived from other fields are written, in case their rule changes.
     """
     entries: dict[str, Any] = {}
     for key, field in type(model).model_fields.items():
@@ -47,7 +47,7 @@ def _entry(value: Any) -> Any:
 
 
 def _fill(block: Any, entries: dict[str, Any]) -> None:
-    """Put values first into a document or table of tomlkit, then sub-tables, as TOML demands."""
+    """Fill a tomlkit document or table, values before sub-tables as TOML demands."""
     tables = {key: value for key, value in entries.items() if _is_table(value, key) or _is_tables(value, key)}
     for key, value in entries.items():
         if key not in tables:
@@ -72,7 +72,7 @@ def _array_of_tables(items: list[dict[str, Any]]) -> Any:
 
 
 def in_line(value: Any) -> Any:
-    """Return a value, a list or a table as it stands in one line."""
+    """Return a value, list or table in inline form."""
     if isinstance(value, dict):
         line = tomlkit.inline_table()
         for key, item in value.items():

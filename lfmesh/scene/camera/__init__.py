@@ -1,1 +1,1 @@
-"""The camera: lens, microlens array, cover, sensor, and the surfaces that they are made of."""
+"""The camera: lens, microlens array, cover and sensor, with the surfaces of each."""

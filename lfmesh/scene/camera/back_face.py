@@ -1,4 +1,4 @@
-"""Lenslets on the face of the array's plate that lies opposite the curved one, each behind one of its lenslets."""
+"""Lenslets on the second face of the array's plate."""
 
 import math
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from lfmesh.scene.quantities import Coefficient, Number, Radius
 
 
 class BackFace(Model):
-    """Shape of the lenslets on the second face: of the same pitch and layout as those of the first, all alike."""
+    """Shape of the lenslets on the second face, all alike, each opposite a lenslet of the first."""
 
     radius_mm: Radius
     """Radius of the lenslets, in mm: positive bulges out of the plate and converges; inf is flat."""
@@ -23,32 +23,33 @@ class BackFace(Model):
     asphere_mm: Annotated[tuple[Coefficient, ...], Field(max_length=MOST_ASPHERE_TERMS)] = ()
     """Even aspheric coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ..., positive into the glass."""
     cylinder_axis: Literal["x", "y"] | None = None
-    """Axis of lenslets that are cylinders: "y" runs over a whole column, "x" over a row of a square layout. It may
-    differ from the one of the first face. Omitted: surfaces of revolution."""
+    """Axis of cylindrical lenslets: "y" along the columns, "x" along the rows of a square layout. It may differ from
+    that of the first face. Omitted: surfaces of revolution."""
     decenter_mm: tuple[Number, Number] = (0.0, 0.0)
-    """Shift of the whole face in x and y against the first one, in mm: a manufacturing error, at most half a pitch."""
+    """Shift of the whole face in x and y relative to the first one, in mm: a manufacturing error, at most half a
+    pitch."""
 
     @property
     def is_flat(self) -> bool:
-        """True if it is a plane after all."""
+        """True if the face is a plane."""
         return math.isinf(self.radius_mm) and not any(self.asphere_mm)
 
     @property
     def profile_words(self) -> str:
-        """Shape of lenslets that are no spheres, as "aspheres" or "cylinders along y"; else nothing."""
+        """Shape of non-spherical lenslets, such as "aspheres" or "cylinders along y", else ""."""
         return profile_words((self.conic,), (self.asphere_mm,), self.cylinder_axis)
 
     def faults_in(
         self, layout: str, pitch_mm: float, thickness_mm: float, front_depth_mm: float | None
     ) -> Iterator[Fault]:  # fmt: skip
-        """Yield what is wrong with the face on a plate, with paths from the array on.
+        """Yield faults of the face on a plate, with paths from the array.
 
         Parameters
         ----------
         layout : str
         pitch_mm, thickness_mm : float
         front_depth_mm : float or None
-            How deep the first face is cut into the plate; None where that face has a fault of its own.
+            Depth of the first face in the plate; None if that face has a fault of its own.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Bands of the sensor: the channels of the image in place of single wavelengths."""
+"""Bands of the sensor, which replace single wavelengths as channels of the image."""
 
 import re
 from collections.abc import Iterator
@@ -17,37 +17,37 @@ from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import FilePath, Positive, Text
 
 HALF_REACH = 1.5
-"""Full widths at half maximum to each side of its centre to which a Gaussian band reaches: a response of 0.2 %, with
-0.04 % of the area beyond."""
+"""Extent of a Gaussian band to each side of its centre, in full widths at half maximum. There the response is 0.2 %;
+0.04 % of the area lies beyond."""
 
 MOST_BANDS = 64
 
 VISIBLE_NM = (380.0, 780.0)
-"""Ends of the preset bands."""
+"""Limits of the preset bands."""
 
 RGB_NM = {"R": (600.0, 90.0), "G": (540.0, 90.0), "B": (460.0, 90.0)}
-"""Centre and full width at half maximum of the bands "rgb", Gaussians with a peak of 1."""
+"""Centre and full width at half maximum of the "rgb" bands, Gaussians with a peak of 1."""
 
 
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 
 
 class Band(Model):
-    """A range of wavelengths that the sensor detects together: a Gaussian, or a measured response."""
+    """A range of wavelengths that the sensor detects together, by a Gaussian or measured response."""
 
     name: Text
     """Name of the channel: letters, digits, _ and -."""
     center_nm: Annotated[float, Field(strict=True, ge=SHORTEST_NM, le=LONGEST_NM)] | None = None
-    """Wavelength of the peak of a Gaussian response, which is 1, in nm. Or give `response`."""
+    """Peak wavelength of a Gaussian response (peak value 1), in nm. Or give `response`."""
     fwhm_nm: Positive | None = None
-    """Full width of the Gaussian at half its maximum, in nm; cut off at 1.5 times that to each side. The response is
-    0.2 % there."""
+    """Full width of the Gaussian at half maximum, in nm; cut off 1.5 widths to each side. The response is 0.2 %
+    there."""
     response: FilePath | None = None
-    """CSV file, relative to the scene file, with wavelength_nm and response (no unit). Linear in between and 0 outside.
-    In place of `center_nm` and `fwhm_nm`."""
+    """CSV file, relative to the scene file, with wavelength_nm and response (no unit). The response is interpolated
+    linearly and is 0 outside. Replaces `center_nm` and `fwhm_nm`."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a name that files cannot carry, and what is wrong between the fields."""
+        """Yield a name that files cannot store, and faults between fields."""
         if not _NAME.fullmatch(self.name):
             yield Fault(("name",), self.name, "a name of a band has letters, digits, _ and -, 32 at most")
         if self.response is not None:
@@ -86,7 +86,7 @@ class Passband(NamedTuple):
     ----------
     name : str
     response : Curve
-        Without a unit, by wavelength.
+        Response by wavelength, without a unit.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Passband(NamedTuple):
 
 
 class Centroids(tuple[float, ...]):
-    """Wavelengths of channels that are bands: the centroids of their responses, nm, with the bands themselves.
+    """Wavelengths of channels that are bands: the centroids of their responses, nm.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class Centroids(tuple[float, ...]):
 
 
 def channel_labels(wavelengths_nm: tuple[float, ...]) -> tuple[str, ...]:
-    """Return what files call the channels of an image: the names of bands; else none."""
+    """Return the names of bands as channels in files; none for single wavelengths."""
     return tuple(band.name for band in wavelengths_nm.bands) if isinstance(wavelengths_nm, Centroids) else ()
 
 
@@ -131,7 +131,7 @@ def preset(name: str) -> tuple[Passband, ...]:
 
 
 def passband(band: Band, path: Path | None) -> Passband:
-    """Return a band with its response; `path` is that of the file of the response.
+    """Return a band with its response, read from `path` if that is given.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def passband(band: Band, path: Path | None) -> Passband:
 
 @lru_cache(maxsize=64)
 def _measured(path: Path, stamp: tuple[object, ...]) -> Curve:
-    """Return a measured response; `stamp` only tells versions of the file apart."""
+    """Return a measured response; `stamp` identifies the version of the file."""
     curve = read_curve(path, "response")
     if curve.area_nm == 0.0:
         raise FileError(f"{path}: the response is 0 at every wavelength")
@@ -154,7 +154,7 @@ def _measured(path: Path, stamp: tuple[object, ...]) -> Curve:
 
 
 def band_faults(bands: tuple[Band, ...] | str) -> Iterator[Fault]:
-    """Yield what is wrong between the bands of a sensor."""
+    """Yield faults of a sensor's list of bands."""
     if isinstance(bands, str):
         return
     if not bands:

@@ -1,4 +1,4 @@
-"""The camera: lens, microlens array (or none), sensor, and where they stand."""
+"""The camera: lens, optional microlens array and sensor, with their positions."""
 
 from collections.abc import Iterator
 from typing import Literal
@@ -19,16 +19,17 @@ from lfmesh.scene.quantities import Flag, Number, ObjectDistance
 class Camera(Model):
     """Everything between the objects and the raw image.
 
-    The camera frame is right-handed with its origin at the first vertex of the lens and z towards the sensor.
+    The camera frame is right-handed, with its origin at the first lens vertex and z towards the sensor.
     """
 
     focus_mm: ObjectDistance | None = None
-    """Distance of the object plane in front of the first vertex, in mm; inf is at infinity. By `focus_from` it starts
-    at the sensor. Solves the distances that are omitted. Omitted: follows from the given distances."""
+    """Distance of the object plane in front of the first vertex, in mm; inf is at infinity. With `focus_from =
+    "sensor"` it is measured from the sensor. Solves the distances that are omitted. Omitted: follows from the given
+    distances."""
     focus_from: Literal["first_vertex", "sensor"] = "first_vertex"
     """Origin of `focus_mm`: first vertex of the lens, or the sensor, as on the distance scales of photographic lenses.
-    Two object planes lie at a distance from the sensor: it means the farther one, whose image is no larger than the
-    object."""
+    Of the two object planes at a given distance from the sensor, the farther one is meant; its image is no larger than
+    the object."""
     lens: Lens
     """The main lens."""
     mla: MicrolensArray | None = None
@@ -36,25 +37,25 @@ class Camera(Model):
     sensor: Sensor
     """The sensor."""
     absorption: Flag = False
-    """Absorption in the glasses of lens, array and sensor cover, by the catalogue's internal transmittance. A glass
-    without it is refused; an index or a dispersion of its own stays clear."""
+    """Absorption in the glasses of lens, array and sensor cover, by the catalogue's internal transmittance. A catalogue
+    glass without such data is refused; materials given by index or dispersion do not absorb."""
     air: Air | None = None
-    """Temperature and pressure of the air. Every glass and liquid that is not given by a plain `index` has its index
-    relative to this air, everywhere in the scene. Omitted: the catalogues' 20 °C and 101.325 kPa."""
+    """Temperature and pressure of the air. Every glass and liquid in the scene, unless given by a plain `index`, has
+    its index relative to this air. Omitted: the catalogues' 20 °C and 101.325 kPa."""
     object_medium: Matter | None = None
-    """Clear medium that fills object space, such as { index = 1.333 }. The first surface looks into it, and targets,
-    lights, media and bodies of glass stand in it; radiance and power are those in it. It replaces the medium that the
-    lens's file names; { index = 1.0 } is air. Omitted: that of the lens file, else air."""
+    """Clear medium that fills object space, such as { index = 1.333 }. The first surface, targets, lights, media and
+    glass bodies are immersed in it; radiance and power are given for it. It overrides the medium of the lens file;
+    { index = 1.0 } is air. Omitted: that of the lens file, else air."""
     polariser_deg: Number | None = None
     """Ideal linear polariser right before the sensor: angle of the transmitted field, in degrees. It counts from the
     sensor's x axis towards its y axis (counter-clockwise as seen from behind the camera). The polariser absorbs the
-    field along the axis square to that, as dichroic sheets do. Needs `transport.polarisation`. Omitted: none."""
+    perpendicular field, as dichroic sheets do. Needs `transport.polarisation`. Omitted: none."""
     pose: Pose = Field(default_factory=Pose, json_schema_extra=or_table(GltfPose))
     """Place of the camera in the world; also { file = "scene.glb" }: that of a camera of a glTF file. Omitted: the
     world frame is the camera frame."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         outside, surfaces = self.object_medium, self.lens.surfaces
         if outside is not None and outside.medium is not None and surfaces and surfaces[0].paraxial:
             yield Fault(

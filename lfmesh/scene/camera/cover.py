@@ -1,4 +1,4 @@
-"""The sensor's cover glass: a plane-parallel plate before the pixels."""
+"""The sensor's cover glass: a plane-parallel plate in front of the pixels."""
 
 from collections.abc import Iterator
 
@@ -10,10 +10,9 @@ from lfmesh.scene.quantities import Index, Positive, Text
 
 
 class Cover(Model):
-    """A plate of glass parallel to the sensor, with air on both sides.
+    """A glass plate parallel to the sensor, with air on both sides.
 
-    It turns with the sensor's pose. It has no rim: it reaches as far as light does, as a cover that is wider than what
-    the pixels can see.
+    It tilts with the sensor and is unbounded.
     """
 
     thickness_mm: Positive
@@ -23,23 +22,23 @@ class Cover(Model):
     index: Index | None = None
     """Refractive index of the plate. Or give `glass`."""
     glass: Glass | None = None
-    """Glass of the plate: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168,
+    """Glass of the plate: a catalogue name such as "SCHOTT/N-BK7", or a dispersion such as { nd = 1.5168,
     vd = 64.17 }."""
     coating: Text = UNCOATED
     """Name of the coating of both faces, or "none": bare."""
 
     @property
     def medium(self) -> Medium:
-        """Material of the plate: an index or the name of a glass."""
+        """Material of the plate: an index or a glass."""
         return self.index if self.index is not None else self.glass or 1.0
 
     @property
     def height_mm(self) -> float:
-        """From the sensor to the plate's far face, in mm."""
+        """Distance from the sensor to the plate's far face."""
         return self.gap_mm + self.thickness_mm
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         if self.index is None and self.glass is None:
             yield Fault(("index",), None, "missing: give the cover's index, or glass")
         elif self.index is not None and self.glass is not None:

@@ -1,4 +1,4 @@
-"""Elements of the main lens that stand off their places: rigid groups of surfaces with a pose."""
+"""Misaligned elements of the main lens: rigid groups of surfaces with a pose."""
 
 import math
 from collections.abc import Iterator
@@ -10,21 +10,21 @@ from lfmesh.scene.pose import Pose
 from lfmesh.scene.quantities import Whole
 
 MOST_TILT_DEG = 45.0
-"""Angle between the axis of a posed element and that of the lens, which a pose must stay below: light that comes along
-the axis of the lens then still crosses the element's surfaces in their order."""
+"""Upper limit on the tilt of a posed element's axis. Light along the lens's axis then still crosses the element's
+surfaces in order."""
 
 
 class Element(Model):
-    """A rigid group of neighbouring surfaces that stands off its place in the prescription."""
+    """A rigid group of neighbouring surfaces that is displaced from the prescription."""
 
     surfaces: tuple[Whole, ...]
-    """Numbers of the surfaces, from 0, without a gap; the stop may be among them."""
+    """Numbers of consecutive surfaces, from 0; the stop may be among them."""
     pose: Pose = Field(default_factory=Pose)
-    """Rotation of the group about the vertex of its first surface, then a shift. First-order optics, and what is
-    solved from it, stay those of the lens without poses."""
+    """Rotation of the group about its first vertex, then a shift. First-order optics, and distances solved from it,
+    ignore poses."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with this group by itself."""
+        """Yield faults of this group on its own."""
         if not self.surfaces:
             yield Fault(("surfaces",), [], "must name one surface or more, such as [0, 1]")
             return

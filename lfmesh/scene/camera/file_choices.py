@@ -1,24 +1,24 @@
-"""Choices that a lens file of another program leaves open."""
+"""Options for reading another program's lens file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 FILE_CHOICES = ("substitutes", "configuration", "coating_file")
-"""Keys of a lens that choose from its file."""
+"""Keys of a lens that select from its file."""
 
 
 @dataclass(frozen=True)
 class FileChoices:
-    """Choices that a lens file of another program leaves open.
+    """Options for reading another program's lens file.
 
     Attributes
     ----------
     substitutes : mapping
-        Catalogue glass or index by the name that the file uses, in place of looking the name up.
+        Catalogue glass or index that replaces a glass name of the file.
     configuration : int, optional
-        From 1; if left out, the one whose values stand in the file's surfaces.
+        Number from 1. Default: the values in the file's surfaces.
     coating_file : str, optional
-        Path of the file that defines the coatings; if left out, the one beside the lens file.
+        Path of the file that defines the coatings. Default: the one beside the lens file.
     """
 
     substitutes: Mapping[str, str | float] = field(default_factory=dict)
@@ -26,9 +26,9 @@ class FileChoices:
     coating_file: str | None = None
 
     def given(self) -> list[str]:
-        """Return the keys of the choices that are made."""
+        """Return the keys of the options that are given."""
         return [key for key in FILE_CHOICES if getattr(self, key)]
 
 
 AS_IT_STANDS = FileChoices()
-"""No choices."""
+"""No options: the file as it stands."""

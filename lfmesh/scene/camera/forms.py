@@ -1,4 +1,4 @@
-"""Shapes of surfaces in place of one of revolution: the class that each derives from, and the surface as it sees it."""
+"""Base class of surface shapes without rotational symmetry, and the surface as it sees it."""
 
 import math
 from collections.abc import Hashable
@@ -12,15 +12,15 @@ from lfmesh.optics.bounds import Range, scaled
 from lfmesh.scene.model import Model
 
 Heights = TypeVar("Heights", float, NDArray[np.float64])
-"""One height, or coordinate, or an array of them."""
+"""A height or coordinate, or an array of them."""
 
 
 class SurfaceShape(Hashable, Protocol):
-    """A surface as its `Form` and the gap to its neighbour see it: `Surface` has all of this."""
+    """Part of `Surface` that its `Form` and the gap to its neighbour use."""
 
     @property
     def form(self) -> "Form | None":
-        """Shape that is none of revolution."""
+        """Shape without rotational symmetry."""
 
     @property
     def thickness_mm(self) -> float | None:
@@ -48,11 +48,11 @@ class SurfaceShape(Hashable, Protocol):
 
     @property
     def vertex_conic(self) -> float:
-        """Conic constant of the conic that the powers are added to."""
+        """Conic constant of the base conic."""
 
     @property
     def powers_mm(self) -> tuple[tuple[int, float], ...]:
-        """Each power of r that is added to the conic, with its coefficient."""
+        """Powers of r added to the base conic, with their coefficients."""
 
     def sag_mm(self, height_mm: Heights) -> Heights:
         """Return the sag of the section y–z.
@@ -63,7 +63,7 @@ class SurfaceShape(Hashable, Protocol):
         """
 
     def profile_ranges(self, height_mm: Range) -> tuple[Range, Range]:
-        """Return bounds of `sag_mm` and of its derivative between heights.
+        """Return bounds of `sag_mm` and its derivative between heights.
 
         Parameters
         ----------
@@ -72,37 +72,36 @@ class SurfaceShape(Hashable, Protocol):
 
 
 class Form(Model):
-    """A shape of surface in place of one of revolution; what it does not override is that of its section y–z."""
+    """A surface shape without rotational symmetry; by default with the properties of the y–z section."""
 
     symmetric: ClassVar[bool] = False
-    """It is symmetric about x and about y, so that a quarter turn tells all of it."""
+    """True if it is symmetric about x and y, so that one quadrant describes it."""
     without: ClassVar[tuple[str, ...]] = ("asphere_mm", "odd_asphere_mm", "qcon", "qbfs", "mesh")
-    """Keys of the surface that it does not go with."""
+    """Keys of the surface that it excludes."""
 
     def sag_at_mm(self, surface: SurfaceShape, x_mm: Heights, y_mm: Heights) -> Heights:
-        """Return z above the vertex plane at a point, in mm; where it has ended, a finite number.
+        """Return z above the vertex plane at a point; a finite number beyond the end of the surface.
 
         Parameters
         ----------
         surface : Surface
-            Whose form it is: it has the keys of the section y–z.
+            Its keys describe the y–z section.
         x_mm, y_mm : float or array
         """
         raise NotImplementedError
 
     def ranges_in(self, surface: SurfaceShape, square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
-        """Return bounds of its sag, in mm, and of the sag's derivatives by r² and by the azimuth.
+        """Return bounds of the sag, in mm, and of its derivatives by r² and by the azimuth.
 
         They decide whether surfaces cross. See `lfmesh/optics/bounds.py` for sums and products of ranges.
 
         Parameters
         ----------
         surface : Surface
-            That this is the form of.
         square : Range
-            The least and the largest r² in each of a number of cells, mm².
+            Smallest and largest r² in each cell, mm².
         sine, cosine : Range
-            x/r and y/r there, each of one sign.
+            x/r and y/r in each cell, each of one sign.
 
         Returns
         -------
@@ -112,14 +111,13 @@ class Form(Model):
         raise NotImplementedError
 
     def bends_in(self, surface: SurfaceShape, x: Range, y: Range) -> list[Range]:
-        """Return bounds of its sag and of the sag's derivatives by x, by y, by x twice, by both, and by y twice.
+        """Return bounds of the sag and of its derivatives by x, by y, by x twice, by both, and by y twice.
 
-        They decide whether apertures clip the axial beam; without them `check` says that this is not proven.
+        They prove whether apertures clip the axial beam.
 
         Parameters
         ----------
         surface : Surface
-            That this is the form of.
         x, y : Range, mm
             Inside its reach.
 
@@ -131,16 +129,15 @@ class Form(Model):
         return [(np.full_like(x[0], -np.inf), np.full_like(x[0], np.inf))] * 6
 
     def reach_mm(self, surface: SurfaceShape) -> float:
-        """Return the height up to which it exists at every azimuth, in mm."""
+        """Return the largest height that the surface reaches at every azimuth."""
         return reach_of_conic_mm(surface.vertex_radius_mm, surface.vertex_conic)
 
     def is_flat(self, surface: SurfaceShape) -> bool:
-        """Return whether its sag is proven to be zero all over its aperture.
+        """Return whether the sag is proven to be zero over the whole aperture.
 
         Parameters
         ----------
         surface : Surface
-            That this is the form of.
 
         Returns
         -------
@@ -157,7 +154,7 @@ class Form(Model):
         return surface.curvature_per_mm
 
     def in_words(self) -> str:
-        """Return its keys with their values.
+        """Return the keys with their values.
 
         Returns
         -------
@@ -167,12 +164,12 @@ class Form(Model):
 
 
 def reach_of_conic_mm(radius_mm: float, conic: float) -> float:
-    """Return the height at which a conic turns back and ends.
+    """Return the largest height that a conic reaches.
 
     Parameters
     ----------
     radius_mm : float
-        At the vertex.
+        Radius at the vertex.
     conic : float
     """
     return abs(radius_mm) / math.sqrt(1 + conic) if conic > -1 else math.inf

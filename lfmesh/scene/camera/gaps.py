@@ -1,4 +1,4 @@
-"""Gaps between neighbouring surfaces, proven by bounds of their sags: no crest between samples is overlooked."""
+"""Gaps between neighbouring surfaces, proven by bounds of their sags so that no crest is missed."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,11 +9,10 @@ from lfmesh.optics.bounds import ACROSS, SAG, Array, Range, first_below, least, 
 from lfmesh.scene.camera.forms import SurfaceShape
 
 ALLOWED_OVERLAP = 1e-9
-"""Depth up to which neighbours in contact may overlap in a prescription: over the distance of their vertices plus 1 mm.
-"""
+"""Overlap allowed between touching neighbours of a prescription, relative to their vertex distance plus 1 mm."""
 
 ROOM_WITHIN = 1e-6
-"""Largest relative distance of the height at which surfaces cross from that up to which they are proven not to."""
+"""Largest relative distance between the height of a crossing and the height up to which none is proven."""
 
 Ranges = Callable[[Array, Array], Sequence[Range]]
 Signs = tuple[float, float]
@@ -22,15 +21,15 @@ Signs = tuple[float, float]
 def least_gap_mm(
     front: SurfaceShape, back: SurfaceShape, inner_mm: float, outer_mm: float, enough_mm: float = math.inf
 ) -> tuple[float, float]:
-    """Return the least difference of sags, back less front, between two heights, and the height there, mm.
+    """Return the smallest difference of sags, back minus front, between two heights, and its height.
 
     Parameters
     ----------
     front, back : SurfaceShape
-        Neighbours, which do not end before.
+        Neighbours that both reach `outer_mm`.
     inner_mm, outer_mm : float
     enough_mm : float
-        It is not looked for any more closely when none is less.
+        The search stops once no difference can be smaller than this.
     """
     ranges_of, low, high = _box(front, back, inner_mm, outer_mm)
     with np.errstate(all="ignore"):
@@ -39,13 +38,14 @@ def least_gap_mm(
 
 
 def rim_gap_mm(front: SurfaceShape, back: SurfaceShape, front_mm: float, back_mm: float) -> float:
-    """Return the least difference of sags, back less front, between rims at heights of their own, at any azimuth, mm.
+    """Return the smallest difference of sags, back minus front, between two rims over all azimuths.
 
     Parameters
     ----------
     front, back : SurfaceShape
-        Neighbours, which do not end before.
+        Neighbours that reach their rims.
     front_mm, back_mm : float
+        Heights of the rims.
     """
     if front.form is None and back.form is None:
         return float(back.sag_mm(back_mm) - front.sag_mm(front_mm))
@@ -55,12 +55,12 @@ def rim_gap_mm(front: SurfaceShape, back: SurfaceShape, front_mm: float, back_mm
 
 
 def room_mm(front: SurfaceShape, back: SurfaceShape, most_mm: float) -> float:
-    """Return the height up to which two neighbours are proven not to cross, `most_mm` at most.
+    """Return the largest height proven free of crossings between two neighbours, at most `most_mm`.
 
     Parameters
     ----------
     front, back : SurfaceShape
-        They do not end before.
+        Neighbours that reach `most_mm`.
     most_mm : float
     """
     ranges_of, low, high = _box(front, back, 0.0, most_mm)
@@ -73,16 +73,16 @@ def room_mm(front: SurfaceShape, back: SurfaceShape, most_mm: float) -> float:
 
 
 def touching_mm(front: SurfaceShape) -> float:
-    """Return the depth up to which a crossing with the next surface is rounding, mm."""
+    """Return the depth of a crossing that counts as rounding."""
     return ALLOWED_OVERLAP * (1.0 + (front.thickness_mm or 0.0))
 
 
 def _box(
     front: SurfaceShape, back: SurfaceShape, inner: float, outer: float, wider: float = 1.0
 ) -> tuple[Ranges, list[float], list[float]]:
-    """Return the bounds of the gap in cells, and the corners of the box of all: r², and the azimuth where it tells.
+    """Return the bounds of the gap in cells, and the box's corners in r² and, if it matters, azimuth.
 
-    The r² of the back is that of the front times `wider`.
+    The r² of the back surface is `wider` times that of the front.
     """
     if front.form is None and back.form is None:
         return lambda low, high: _on_circles(front, back, low[:, 0], high[:, 0]), [inner**2], [outer**2]
@@ -90,7 +90,7 @@ def _box(
     quarters = ((1.0, 1.0),) if symmetric else ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
 
     def ranges_of(low: Array, high: Array) -> list[Range]:
-        """Return those of the least gap of all quarters."""
+        """Return the bounds of the smallest gap over all quadrants."""
         parts = [_in_a_quarter(front, back, low, high, signs, wider) for signs in quarters]
         value, *rates = zip(*parts, strict=True)
         least_of_all = tuple(np.min(ends, axis=0) for ends in zip(*value, strict=True))
@@ -101,9 +101,9 @@ def _box(
 
 
 def _on_circles(front: SurfaceShape, back: SurfaceShape, low: Array, high: Array) -> list[Range]:
-    """Return bounds of the gap of two surfaces of revolution, and of its derivative, by r².
+    """Return bounds of the gap between two surfaces of revolution, and of its derivative by r².
 
-    What both have in common leaves no part in either.
+    Terms that both surfaces share cancel exactly.
     """
     r = np.sqrt(low), np.sqrt(high)
     powers = dict(back.powers_mm)
@@ -126,7 +126,7 @@ def _on_circles(front: SurfaceShape, back: SurfaceShape, low: Array, high: Array
 def _in_a_quarter(
     front: SurfaceShape, back: SurfaceShape, low: Array, high: Array, signs: Signs, wider: float
 ) -> list[Range]:  # fmt: skip
-    """Return bounds of the gap, and of its derivatives by r² and by the azimuth, in cells of one quarter turn."""
+    """Return bounds of the gap, and of its derivatives by r² and by the azimuth, in cells of one quadrant."""
     inner, turn = ((low[:, k], high[:, k]) for k in (0, 1))
     # From the y axis to the x axis.
     sine = scaled(signs[0], (np.sin(turn[0]), np.sin(turn[1])))
@@ -139,6 +139,6 @@ def _in_a_quarter(
             parts.append((sag, scaled(0.5 * scale, across), (np.zeros_like(square[0]),) * 2))
             continue
         sag, out, turned = surface.form.ranges_in(surface, square, sine, cosine)
-        # In a mirrored quarter the azimuth runs the other way.
+        # In a mirrored quadrant the azimuth runs the other way.
         parts.append((sag, scaled(scale, out), scaled(signs[0] * signs[1], turned)))
     return [plus(of_back, scaled(-1.0, of_front)) for of_back, of_front in zip(*parts, strict=True)]

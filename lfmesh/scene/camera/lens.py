@@ -26,12 +26,12 @@ from lfmesh.scene.quantities import (
 
 __all__ = ["AS_IT_STANDS", "FILE_CHOICES", "STOP_SIZES", "Element", "FileChoices", "Lens", "Surface"]
 STOP_SIZES = ("stop_semi_diameter_mm", "f_number", "epd_mm")
-"""Keys that give the stop its size in place of the prescription."""
+"""Keys that size the stop in place of the prescription."""
 _EDIT = "to change surfaces of a lens file write it as another one (lfmesh lens convert {} lens.toml), and edit that"
 
 
 class Lens(Model):
-    """The main lens as its prescription, or the file that holds it."""
+    """The main lens, given by its prescription or by a file."""
 
     elsewhere: ClassVar[Mapping[str, str]] = {
         "coating": "a surface has it: surfaces = [{ ..., coating = ... }]; " + _EDIT.format("lib:tessar_50mm")
@@ -39,35 +39,34 @@ class Lens(Model):
 
     file: Text | None = None
     """Lens file (.toml, .zmx, .seq, .len, .json, .csv), relative to the scene file, or "lib:" and a name of the
-    library. A TOML file has the keys of this table (name, source, surfaces, ...); the others are of Zemax, CODE V,
-    OSLO, optiland, or a table. A lens of the library comes with lfmesh. The file is read in place of `surfaces`."""
+    library. It replaces `surfaces`; the library comes with lfmesh. A TOML file has the keys of this table (name,
+    source, surfaces, ...). The other files are Zemax's, CODE V's, OSLO's, optiland's, or a table of surfaces."""
     substitutes: dict[Text, GlassName | Index] = Field(default_factory=dict)
-    """Catalogue glass or index by a glass name that the file uses: { BK7 = "SCHOTT/N-BK7" }."""
+    """Catalogue glass or index for a glass name in the file: { BK7 = "SCHOTT/N-BK7" }."""
     configuration: Count | None = None
-    """Number of the configuration of the file, from 1. Omitted: as the file's surfaces stand."""
+    """Number of the file's configuration, from 1. Omitted: as the file's surfaces stand."""
     coating_file: Text | None = None
-    """Zemax's coating file that defines the coatings of a .zmx file, relative to the scene file. Omitted: the one
-    beside the lens file."""
+    """Zemax coating file for a .zmx file, relative to the scene file. Omitted: the one beside the lens file."""
     name: Text | None = None
     """Name of the lens."""
     source: Text | None = None
-    """Publication that the prescription is taken from."""
+    """Publication of the prescription."""
     surfaces: tuple[Surface, ...] = ()
     """The surfaces, from the object to the sensor; the first vertex is the origin of the camera frame. Or give
     `file`."""
     stop_semi_diameter_mm: Positive | None = None
     """Radius of the aperture stop, in mm. Or give `f_number` or `epd_mm`. Omitted: that of the prescription."""
     f_number: Positive | None = None
-    """Focal length over diameter of the entrance pupil (no unit), which sets the radius of the stop."""
+    """Focal length over entrance pupil diameter (no unit), which sets the radius of the stop."""
     epd_mm: Positive | None = None
     """Diameter of the entrance pupil, in mm, which sets the radius of the stop."""
     elements: tuple[Element, ...] = ()
     """Rigid groups of surfaces with a pose of their own: tilted and decentred elements."""
     coatings: dict[str, Coating] = Field(default_factory=dict)
-    """Coatings of the lens itself, by the name that its surfaces use, in addition to the coatings of the scene."""
+    """Coatings of the lens, by the name that its surfaces use, in addition to the coatings of the scene."""
     object_medium: Matter | None = None
     """Medium before the first surface that the lens is designed for, such as { index = 1.333 }. A scene's
-    `camera.object_medium` takes its place. Omitted: air."""
+    `camera.object_medium` overrides it. Omitted: air."""
 
     def __hash__(self) -> int:
         values = (frozenset(value.items()) if isinstance(value, dict) else value for _, value in self)
@@ -75,15 +74,14 @@ class Lens(Model):
 
     @property
     def file_choices(self) -> FileChoices:
-        """Choices that its file leaves open."""
+        """Options for reading its file."""
         return FileChoices(**{key: getattr(self, key) for key in FILE_CHOICES})
 
     @property
     def media(self) -> tuple[Medium, ...]:
-        """Medium before the first surface, then that behind each.
+        """Medium before the first surface, then behind each surface.
 
-        A flat stop that comes first and names no medium, not even an index of 1, is no interface: it stands in the
-        object medium.
+        A flat first surface that is a stop without a given medium stands in the object medium.
         """
         outside = self.object_medium.medium if self.object_medium is not None else None
         behind = [surface.medium for surface in self.surfaces]
@@ -93,24 +91,24 @@ class Lens(Model):
 
     @property
     def stop_index(self) -> int | None:
-        """Number of the surface that is the stop; None where none is marked."""
+        """Number of the stop surface, or None if none is marked."""
         return next((i for i, surface in enumerate(self.surfaces) if surface.stop), None)
 
     @property
     def vertices_mm(self) -> tuple[float, ...]:
-        """Z of every surface's vertex in the camera frame, in mm."""
+        """Z of every surface's vertex in the camera frame."""
         z = [0.0]
         for surface in self.surfaces[:-1]:
             z.append(z[-1] + (surface.thickness_mm or 0.0))
         return tuple(z)
 
     def element_of(self, number: int) -> int | None:
-        """Return which of `elements` surface `number` belongs to; None: to none.
+        """Return the index in `elements` of the element that contains surface `number`, or None.
 
         Parameters
         ----------
         number : int
-            From 0, at the object's side.
+            From 0.
 
         Returns
         -------
@@ -119,12 +117,12 @@ class Lens(Model):
         return next((i for i, element in enumerate(self.elements) if number in element.surfaces), None)
 
     def is_pure_stop(self, number: int) -> bool:
-        """Return whether surface `number` only stops light: marked, flat, the same medium on both sides.
+        """Return whether surface `number` is only a stop: marked, flat, with the same medium on both sides.
 
         Parameters
         ----------
         number : int
-            From 0, at the object's side.
+            From 0.
 
         Returns
         -------
@@ -134,12 +132,12 @@ class Lens(Model):
         return surface.stop and surface.is_flat and not surface.paraxial and media[number] == media[number + 1]
 
     def aperture_mm(self, number: int) -> float | None:
-        """Return the clear radius of surface `number`, in mm; None where the size of the pupil decides it.
+        """Return the clear radius of surface `number`, or None if the pupil's size determines it.
 
         Parameters
         ----------
         number : int
-            From 0, at the object's side.
+            From 0.
 
         Returns
         -------
@@ -153,12 +151,12 @@ class Lens(Model):
 
     @property
     def stop_size(self) -> dict[str, float]:
-        """Value that sizes the stop in place of the prescription, by its key: nothing, or one entry."""
+        """Key and value that size the stop in place of the prescription: one entry, or none."""
         sizes = {key: getattr(self, key) for key in STOP_SIZES}
         return {key: size for key, size in sizes.items() if size is not None}
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between surfaces."""
+        """Yield faults between surfaces."""
         if self.file is not None:
             if self.surfaces:
                 yield Fault(
@@ -262,23 +260,21 @@ class Lens(Model):
 
     @property
     def has_meshes(self) -> bool:
-        """True if surfaces are given by mesh files, and have no exact form."""
+        """True if mesh files give some surfaces, which then have no exact form."""
         return any(surface.mesh is not None or surface.refractor is not None for surface in self.surfaces)
 
     @property
     def number_off_revolution(self) -> int | None:
-        """The first surface with another section in x than in y; None where all are surfaces of revolution."""
+        """Number of the first surface without rotational symmetry, or None."""
         return next((i for i, surface in enumerate(self.surfaces) if surface.section_key is not None), None)
 
     def gap_mm(self, number: int, height_mm: float) -> float:
-        """Return the distance along z from surface `number` to the next at a height from the axis, in mm.
-
-        The smallest over all azimuths.
+        """Return the smallest axial distance over all azimuths from surface `number` to the next at a height.
 
         Parameters
         ----------
         number : int
-            From 0, at the object's side; not the last.
+            From 0; not the last.
         height_mm : float
 
         Returns
@@ -290,14 +286,12 @@ class Lens(Model):
         return (front.thickness_mm or 0.0) + least_gap_mm(front, back, height_mm, height_mm)[0]
 
     def edge_mm(self, number: int) -> float:
-        """Return the distance along z from the rim of surface `number` to that of the next, in mm.
-
-        The smallest over all azimuths.
+        """Return the smallest axial distance over all azimuths from the rim of surface `number` to the next rim.
 
         Parameters
         ----------
         number : int
-            From 0, at the object's side; not the last.
+            From 0; not the last.
 
         Returns
         -------
@@ -309,7 +303,7 @@ class Lens(Model):
         return (front.thickness_mm or 0.0) + rim_gap_mm(front, back, *rims)
 
     def _crossing(self, number: int) -> Iterator[Fault]:
-        """Compare the sags of a surface and the next over the aperture they share."""
+        """Compare the sags of a surface and the next over their common aperture."""
         front, back = self.surfaces[number], self.surfaces[number + 1]
         if front.refractor is not None or back.refractor is not None:
             return
@@ -318,7 +312,7 @@ class Lens(Model):
             return
         needed, height = _thickness_to_touch(front, back, tuple(apertures))
         given = front.thickness_mm or 0.0
-        # Elements may touch; what rounding makes of that is no crossing.
+        # Elements may touch; an overlap within rounding is not a crossing.
         if needed > given + touching_mm(front):
             yield Fault(
                 ("surfaces", number, "thickness_mm"),
@@ -331,10 +325,10 @@ class Lens(Model):
 
 @lru_cache(maxsize=1024)
 def _thickness_to_touch(front: Surface, back: Surface, apertures_mm: tuple[float, ...]) -> tuple[float, float]:
-    """Return the distance of two vertices at which their surfaces touch inside an aperture, and the height there, mm.
+    """Return the vertex distance of two surfaces in contact inside an aperture, and the height of contact, mm.
 
-    No more than the distance that is given, where bounds tell that they do not. Kept, as a study asks for the same pair
-    at thousands of points.
+    The search stops at the given distance if the bounds exclude a crossing. Cached, as a study asks for the same pair
+    thousands of times.
     """
     radius = min(*apertures_mm, front.reach_mm, back.reach_mm)
     given = front.thickness_mm or 0.0

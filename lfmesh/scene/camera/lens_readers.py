@@ -1,4 +1,4 @@
-"""Readers of lens files by their ending: TOML is the scene's own, others are registered by the part that has them."""
+"""Readers of lens files by extension, registered by the packages that hold them."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -11,18 +11,18 @@ Reader = Callable[[Path, FileChoices], tuple[Lens, tuple[float, ...]]]
 """Function that returns the lens of a file and the file's wavelengths in nm, the primary one first."""
 
 _PARTS = dict.fromkeys((".zmx", ".seq", ".len", ".json", ".csv"), "lfmesh.imports")
-"""Part that registers the reader of an ending when it is imported; by name, for the scene knows nothing of it."""
+"""Package that registers the reader of an extension on import; by name, because scenes do not depend on it."""
 
 _readers: dict[str, Reader] = {}
 
 
 def register(ending: str, reader: Reader) -> None:
-    """Have files with an ending, such as ".zmx", read by a function that raises SceneError where it cannot."""
+    """Register the reader of an extension such as ".zmx"; it raises SceneError on failure."""
     _readers[ending] = reader
 
 
 def reader_of(path: Path) -> Reader | None:
-    """Return the reader of a file by its ending, upper or lower case; None for the scene's own TOML."""
+    """Return the reader of a file by its extension, in upper or lower case, or None for lfmesh's own TOML."""
     ending = path.suffix.lower()
     if ending in _PARTS and ending not in _readers:
         import_module(_PARTS[ending])
@@ -30,5 +30,5 @@ def reader_of(path: Path) -> Reader | None:
 
 
 def endings() -> list[str]:
-    """Return the endings that files of other programs may have."""
+    """Return the extensions of other programs' lens files."""
     return sorted({*_PARTS, *_readers})

@@ -1,10 +1,10 @@
-"""Shape of a lenslet's face: how deep it is cut into the plate, how far it rises over its apex, and in words."""
+"""Shape of a lenslet's face: depth in the plate, rise above its apex, and words for it."""
 
 import math
 from collections.abc import Sequence
 
 _HEIGHTS = 256
-"""Distances from the axis at which the depth is checked."""
+"""Number of distances from the axis at which the depth is checked."""
 
 
 def sag_mm(radius_mm: float, conic: float, terms: Sequence[float], height_mm: float) -> float:
@@ -23,7 +23,7 @@ def sag_mm(radius_mm: float, conic: float, terms: Sequence[float], height_mm: fl
 
 
 def cell_corner_mm(pitch_mm: float, layout: str, cylinder_axis: str | None) -> float:
-    """Return the distance from a lenslet's axis to its cell's farthest corner; of a cylinder from its line of apexes.
+    """Return the distance from a lenslet's axis, or a cylinder's line of apexes, to the farthest corner of its cell.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def cell_corner_mm(pitch_mm: float, layout: str, cylinder_axis: str | None) -> f
 
 
 def profile_words(conics: Sequence[float], terms: Sequence[Sequence[float]], cylinder_axis: str | None) -> str:
-    """Return what lenslets are where they are no spheres, as "aspheres" or "cylinders along y"; else nothing.
+    """Return the shape of non-spherical lenslets, such as "aspheres" or "cylinders along y", else "".
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def profile_words(conics: Sequence[float], terms: Sequence[Sequence[float]], cyl
 def highest_and_deepest_mm(
     radius_mm: float, conic: float, terms: Sequence[float], corner_mm: float
 ) -> tuple[float, float]:
-    """Return how far a face rises over its apex within its cell, and how deep it is there, both 0 or more.
+    """Return a face's largest rise above its apex and its largest depth within its cell, both 0 or more.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def highest_and_deepest_mm(
     terms : (n,) float
         Coefficients of r⁴, r⁶, ...
     corner_mm : float
-        Distance of the cell's corner from the axis.
+        Distance of the cell's corner.
     """
     heights = [sag_mm(radius_mm, conic, terms, corner_mm * i / _HEIGHTS) for i in range(_HEIGHTS + 1)]
     return -min(heights), max(heights)

@@ -1,9 +1,8 @@
-"""First-order optics of a lenslet with both faces of its plate: focal length and principal points, section by section.
+"""First-order optics of a lenslet with both faces of its plate: focal length and principal points in each section.
 
-The two faces have the powers φ₁ towards the lens and φ₂ towards the sensor; in between is the reduced thickness t/n of
-the plate. Then (for instance Hecht, Optics, section 6.1) the power is φ = φ₁ + φ₂ − φ₁ φ₂ t/n, the front principal
-point lies φ₂/φ · t/n behind the first face, and the rear one φ₁/φ · t/n before the second, both as in air. A cylinder
-has its power in one section and none in the other.
+The faces towards the lens and the sensor have the powers φ₁ and φ₂, the plate the reduced thickness t/n. Then (for
+instance Hecht, Optics, section 6.1) the power is φ = φ₁ + φ₂ − φ₁ φ₂ t/n. The front principal point lies φ₂/φ · t/n
+behind the first face, the rear one φ₁/φ · t/n before the second, as in air. A cylinder has power in one section only.
 """
 
 import math
@@ -15,16 +14,16 @@ from lfmesh.scene.first_order.paraxial import quotient
 
 
 class LensletOptics(NamedTuple):
-    """A lenslet in one section, as in air.
+    """One section of a lenslet, as in air.
 
     Attributes
     ----------
     power_per_mm : float
-        1 / focal length; 0: it does not focus in this section.
+        1 / focal length; 0 if it does not focus in this section.
     front_principal_mm : float
-        From the face towards the lens to the front principal point, towards the sensor.
+        Distance from the face towards the lens to the front principal point, positive towards the sensor.
     rear_principal_mm : float
-        From the rear principal point to the face towards the sensor.
+        Distance from the rear principal point to the face towards the sensor.
     """
 
     power_per_mm: float
@@ -45,17 +44,17 @@ class LensletOptics(NamedTuple):
 def lenslet_optics(
     mla: MicrolensArray, wavelength_nm: float, kind: int = 0, section: str | None = None
 ) -> LensletOptics:
-    """Return the first-order optics of a type of lenslet of a solved array.
+    """Return the first-order optics of a lenslet type of a solved array.
 
     Parameters
     ----------
     mla : MicrolensArray
-        With radii.
+        Array with radii.
     wavelength_nm : float
     kind : int
-        Type of the lenslet.
+        Lenslet type.
     section : str, optional
-        "x" or "y": the section through the axis that is meant. Omitted: the one in which the curved face bends rays.
+        "x" or "y". Default: the one with the power of the curved face.
     """
     n = refractive_index(mla.medium, wavelength_nm)
     if section is None:
@@ -69,13 +68,13 @@ def lenslet_optics(
     reduced = mla.thickness_mm / n
     power = first + second - first * second * reduced
     if first == 0.0 or second == 0.0:
-        # Exact, and defined where there is no power at all.
+        # Exact, and defined even without power.
         front = reduced if second != 0.0 or (first == 0.0 and mla.curved_side == "sensor") else 0.0
         return LensletOptics(power, front, reduced - front)
     return LensletOptics(power, quotient(second * reduced, power), quotient(first * reduced, power))
 
 
 def sections(mla: MicrolensArray) -> tuple[str, ...]:
-    """Return the sections in which an array's lenslets differ: "x" and "y", or only one name where they do not."""
+    """Return the distinct sections of an array's lenslets: "x" and "y" for cylinders, else only "x"."""
     has_cylinders = mla.cylinder_axis is not None or (mla.back is not None and mla.back.cylinder_axis is not None)
     return ("x", "y") if has_cylinders else ("x",)

@@ -1,4 +1,4 @@
-"""The microlens array: lenslets on one face of a plate, or on both, spheres, aspheres or cylinders."""
+"""The microlens array: spherical, aspheric or cylindrical lenslets on one or both faces of a plate."""
 
 import math
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ from lfmesh.scene.quantities import (
 
 
 class ArrayForm(Model):
-    """Manufacturing error of the array; each is an rms over lenslets, drawn from `seed`."""
+    """Manufacturing errors of the array; rms values over lenslets, drawn from `seed`."""
 
     pitch_error: Number = Field(default=0.0, gt=-0.5, lt=0.5)
     """Relative error of the pitch, the same over the whole array (no unit)."""
@@ -38,11 +38,11 @@ class ArrayForm(Model):
     radius_error: NonNegative = Field(default=0.0, lt=0.5)
     """Rms relative error of a lenslet's radius of curvature (no unit)."""
     seed: Whole = 0
-    """Number of an array of this quality: the random errors follow from it alone."""
+    """Random seed: identifies one array of this quality."""
 
 
 class MicrolensArray(Model):
-    """A plate with one curved face and one that is flat, or curved too."""
+    """A plate with one curved face; the other one is flat or curved."""
 
     layout: Literal["square", "hexagonal"] = "square"
     """Grid of the lenslets; "hexagonal": rows pitch · √3/2 apart, every second one shifted by half a pitch."""
@@ -54,70 +54,70 @@ class MicrolensArray(Model):
     """Focal length of a lenslet in air, in mm; a list of up to 3 makes a multi-focus array. Or give
     `radius_mm`."""
     radius_mm: OneOrMore | None = None
-    """Radius of the curved face, in mm: positive converges, whichever way the face looks; a list: one a type. Or give
+    """Radius of the curved face, in mm: positive converges, whichever way the face looks; a list: one per type. Or give
     `focal_length_mm`."""
     conic: ConicPerType = (0.0,)
-    """Conic constant of the lenslets: 0 sphere, −1 paraboloid, below −1 hyperboloid; a list: one a type."""
+    """Conic constant of the lenslets: 0 sphere, −1 paraboloid, below −1 hyperboloid; a list: one per type."""
     asphere_mm: TermsPerType = ((),)
-    """Even aspheric coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ..., positive into the glass; a list of lists: one a
+    """Even aspheric coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ..., positive into the glass; a list of lists: one per
     type."""
     cylinder_axis: Literal["x", "y"] | None = None
-    """Axis of lenslets that are cylinders: "y" runs over a whole column, "x" over a row of a square layout. A
-    lenticular sheet has such. Omitted: surfaces of revolution."""
+    """Axis of cylindrical lenslets: "y" along the columns, "x" along the rows of a square layout, as in a lenticular
+    sheet. Omitted: surfaces of revolution."""
     clear_diameter_mm: Positive | None = None
     """Diameter of round clear apertures in an opaque mask on the curved face, in mm, at most the pitch. Each is centred
     in its cell. Omitted: the whole cell is clear."""
     index: Index | None = None
     """Refractive index of the plate. Or give `glass`."""
     glass: Glass | None = None
-    """Glass of the plate: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168,
+    """Glass of the plate: a catalogue name such as "SCHOTT/N-BK7", or a dispersion such as { nd = 1.5168,
     vd = 64.17 }."""
     thickness_mm: Positive
     """Thickness from the apex of the curved face to the flat face, or to the apexes of `back`, in mm."""
     curved_coating: Text = UNCOATED
     """Name of the coating of the curved face, or "none": bare."""
     flat_coating: Text = UNCOATED
-    """Name of the coating of the flat face, or of that of `back`; "none": bare."""
+    """Name of the coating of the flat face, or of `back`; "none": bare."""
     curved_finish: AnyFinish = POLISHED
     """Finish of the curved face: "polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
     flat_finish: AnyFinish = POLISHED
-    """Finish of the flat face, or of that of `back`: as `curved_finish`."""
+    """Finish of the flat face, or of `back`: as `curved_finish`."""
     curved_side: Literal["lens", "sensor"] = "lens"
-    """Face with the curvature: towards the lens, or towards the sensor."""
+    """Side of the curved face: towards the lens, or towards the sensor."""
     back: BackFace | None = None
-    """Lenslets on the other face too, one behind each of the curved face's, such as { radius_mm = 0.5 }. The curved
-    face is then given by `radius_mm`. Omitted: the other face is flat."""
+    """Lenslets on the other face too, one behind each lenslet of the curved face, such as { radius_mm = 0.5 }. The
+    curved face then needs `radius_mm`. Omitted: the other face is flat."""
     distance_mm: Positive | None = None
-    """Distance from the last lens vertex to the array's face nearest the lens, in mm. Where the curved face looks at
-    the lens, it ends at the apexes. Omitted: solved from `focus_mm`."""
+    """Distance from the last lens vertex to the array's face nearest the lens, in mm. If that is the curved face, the
+    distance ends at the apexes. Omitted: solved from `focus_mm`."""
     pose: Pose = Field(default_factory=Pose)
     """Installation error: a motion about the array's centre."""
     form: ArrayForm = Field(default_factory=ArrayForm)
-    """Manufacturing error of pitch, centres and radii."""
+    """Manufacturing errors of pitch, centres and radii."""
 
     @property
     def medium(self) -> Medium:
-        """Material of the plate: an index or the name of a glass."""
+        """Material of the plate: an index or a glass."""
         return self.index if self.index is not None else self.glass or 1.0
 
     @property
     def types(self) -> int:
-        """Number of kinds of lenslet in the array."""
+        """Number of lenslet types."""
         return len(self.radius_mm or self.focal_length_mm or ())
 
     @property
     def row_pitch_mm(self) -> float:
-        """Distance between rows of lenslets, in mm."""
+        """Distance between rows of lenslets."""
         return self.pitch_mm * (math.sqrt(3) / 2 if self.layout == "hexagonal" else 1.0)
 
     @property
     def size_mm(self) -> tuple[float, float]:
-        """Width and height of the array, in mm."""
+        """Width and height of the array."""
         return self.count[0] * self.pitch_mm, self.count[1] * self.row_pitch_mm
 
     @property
     def corner_mm(self) -> float:
-        """From a lenslet's axis to the farthest corner of its cell, in mm; of a cylinder from its line of apexes."""
+        """Distance from a lenslet's axis, or a cylinder's line of apexes, to the farthest corner of its cell."""
         return cell_corner_mm(self.pitch_mm, self.layout, self.cylinder_axis)
 
     @property
@@ -127,41 +127,41 @@ class MicrolensArray(Model):
 
     @property
     def frame_side(self) -> Literal["lens", "sensor"]:
-        """The side of the face from which the array's frame runs into the glass: of two curved ones the sensor's."""
+        """Side with the origin of the array's frame: that of the curved face, or the sensor's if both are curved."""
         return "sensor" if self.has_back else self.curved_side
 
     def profile_of(self, kind: int) -> tuple[float, tuple[float, ...]]:
-        """Return the conic constant and the even terms of a type of lenslet.
+        """Return the conic constant and the even terms of a lenslet type.
 
         Parameters
         ----------
         kind : int
-            Of the lenslet, from 0.
+            Lenslet type, from 0.
 
         Returns
         -------
         conic : float
         terms_mm : tuple of float
-            Of r⁴, r⁶, ...
+            Coefficients of r⁴, r⁶, ...
         """
         conic = self.conic[kind if len(self.conic) > 1 else 0]
         return conic, self.asphere_mm[kind if len(self.asphere_mm) > 1 else 0]
 
     @property
     def profile_words(self) -> str:
-        """Shape of lenslets that are no spheres, as "aspheres" or "cylinders along y"; else nothing."""
+        """Shape of non-spherical lenslets, such as "aspheres" or "cylinders along y", else ""."""
         return profile_words(self.conic, self.asphere_mm, self.cylinder_axis)
 
     def cap_fault(self, radius_mm: float, scale: float = 1.0, kind: int = 0) -> str | None:
-        """Return why a face of this radius cannot be cut into the plate, and what can; None if it can.
+        """Return why a face of this radius cannot be cut into the plate and what can, or None if it can.
 
         Parameters
         ----------
         radius_mm : float
         scale : float
-            What the user gives, over the radius.
+            Ratio of the user's value to the radius.
         kind : int
-            Type of the lenslet, whose conic constant and terms count.
+            Lenslet type, for conic constant and terms.
 
         Returns
         -------
@@ -185,7 +185,7 @@ class MicrolensArray(Model):
         return None
 
     def _profile_fault(self, radius_mm: float, conic: float, terms: tuple[float, ...]) -> str | None:
-        """Return why a conic with even terms cannot be cut into the plate; None if it can."""
+        """Return why a conic with even terms cannot be cut into the plate, or None if it can."""
         corner = self.corner_mm
         if (1 + conic) * corner**2 >= radius_mm**2:
             return (
@@ -207,7 +207,7 @@ class MicrolensArray(Model):
         return None
 
     def _profile_faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the profiles of the lenslets."""
+        """Yield faults of the lenslet profiles."""
         for key, given in (("conic", self.conic), ("asphere_mm", self.asphere_mm)):
             if len(given) > 1 and len(given) != self.types:
                 why = f"give one for each of the {self.types} types of radii, or one for all; not {len(given)}"
@@ -216,7 +216,7 @@ class MicrolensArray(Model):
             yield Fault(("cylinder_axis",), self.cylinder_axis, 'cylinders need layout = "square"')
 
     def _mask_faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the clear apertures."""
+        """Yield faults of the clear apertures."""
         clear = self.clear_diameter_mm
         if clear is not None and self.cylinder_axis is not None:
             yield Fault(("clear_diameter_mm",), clear, "cylinders have no round apertures: leave it out")
@@ -224,18 +224,18 @@ class MicrolensArray(Model):
             yield Fault(("clear_diameter_mm",), clear, f"at most pitch_mm = {self.pitch_mm:g}: wider circles overlap")
 
     def _least(self, radius_mm: float, scale: float) -> str:
-        """Return in words the smallest radius of this sign, or what it follows from by `scale`, that a face can have.
+        """Describe the smallest radius of this sign that a face can have, times `scale`.
 
-        Of a cap as deep as the plate, R = (corner² + t²) / 2t, if that is less than half a sphere.
+        R = (corner² + t²) / 2t of a cap as deep as the plate, if that is less than a hemisphere.
         """
         corner, thickness = self.corner_mm, self.thickness_mm
         least = (corner**2 + thickness**2) / (2 * thickness) if radius_mm > 0 and thickness < corner else corner
-        # As much as the rounding of the sagitta of a deep cap.
+        # Allows for rounding of the sagitta of a deep cap.
         words = at_least(abs(scale) * least * (1 + 1e-9))
         return f"{words} or more" if radius_mm * scale > 0 else f"-{words} or less"
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         yield from both_given(self.curved_coating, self.curved_finish, "curved_finish")
         yield from both_given(self.flat_coating, self.flat_finish, "flat_finish")
         if self.radius_mm is not None and self.focal_length_mm is not None:
@@ -253,7 +253,7 @@ class MicrolensArray(Model):
         yield from self._medium_faults()
 
     def _back_faults(self, back: BackFace, *, sound: bool) -> Iterator[Fault]:
-        """Yield what is wrong with the second face; `sound`: the shape of the first is without fault."""
+        """Yield faults of the second face; `sound` is True if the shape of the first has none."""
         if self.focal_length_mm is not None and not back.is_flat:
             why = "a focal length does not say what each face of camera.mla.back and this one does: give radius_mm"
             yield Fault(("focal_length_mm",), list(self.focal_length_mm), why)

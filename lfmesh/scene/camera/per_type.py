@@ -1,4 +1,4 @@
-"""Values of a microlens array that hold for all types of its lenslets, or for each of them."""
+"""Values of a microlens array given once for all lenslet types, or once per type."""
 
 from typing import Annotated, Any
 
@@ -9,7 +9,7 @@ from lfmesh.scene.quantities import Coefficient, Number, as_list, not_empty, num
 
 
 def as_list_of_lists(value: Any) -> Any:
-    """Let a list of numbers stand for a list of one list."""
+    """Accept a list of numbers as a list of one list."""
     if isinstance(value, list | tuple) and not any(isinstance(item, list | tuple) for item in value):
         return [value]
     return value
@@ -22,7 +22,7 @@ ConicPerType = Annotated[
     BeforeValidator(as_list),
     number_per_type_schema,
 ]
-"""A conic constant, or a list of up to three: one a lenslet type."""
+"""A conic constant, or a list of up to three: one per lenslet type."""
 
 TermsPerType = Annotated[
     tuple[Annotated[tuple[Coefficient, ...], Field(max_length=MOST_ASPHERE_TERMS)], ...],
@@ -43,4 +43,4 @@ TermsPerType = Annotated[
         }
     ),
 ]
-"""Even aspheric coefficients, or a list of up to three lists of them: one a lenslet type."""
+"""Even aspheric coefficients, or a list of up to three lists of them: one per lenslet type."""

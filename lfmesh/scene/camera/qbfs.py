@@ -1,10 +1,10 @@
-"""Forbes' mild aspheres, "Q-bfs": a deviation along the normal of a conic, in terms whose slopes are orthogonal.
+"""Forbes' mild aspheres, "Q-bfs": a deviation along the normal of a conic, in terms with orthogonal slopes.
 
 G. W. Forbes, "Shape specification for axially symmetric optical surfaces", Opt. Express 15 (2007) 5218-5226: with
-u = r / ρ, the sag beside the sphere of curvature c is u² (1 − u²) / √(1 − c² r²) Σ a_m Q_m(u²). The root is the cosine
-of the sphere's normal; that of a conic is √(1 − (1 + k) c² r²) / √(1 − k c² r²). The Q_m follow from the recurrence of
-"Robust, efficient computational methods for axially symmetric optical aspheres", Opt. Express 18 (2010) 19700-19712.
-The surface is traced as an even asphere about the curvature that it has at its vertex.
+u = r / ρ, the sag beyond a sphere of curvature c is u² (1 − u²) / √(1 − c² r²) Σ a_m Q_m(u²). The root is the cosine of
+the sphere's normal; for a conic it is √(1 − (1 + k) c² r²) / √(1 − k c² r²). The recurrence of the Q_m is from "Robust,
+efficient computational methods for axially symmetric optical aspheres", Opt. Express 18 (2010) 19700-19712. The surface
+is traced as an even asphere of the same vertex curvature.
 """
 
 import math
@@ -19,41 +19,41 @@ from lfmesh.scene.model import Model
 from lfmesh.scene.quantities import Coefficient, Positive
 
 _LARGEST_ERROR = 1e-9
-"""A surface that no even asphere gives to within this, in mm or in ρ where that is less than 1 mm, is refused."""
+"""Largest error of the even asphere, in mm or in units of ρ if that is less than 1 mm; worse fits are refused."""
 
 _WANTED = 0.01
-"""No terms are added to those that give the sag to within this share of the largest error."""
+"""Fraction of the largest error at which no further terms are added."""
 
 _DIGITS = 50
 _CHECKED = 64
 
 
 class Qbfs(Model):
-    """Deviation from the sphere, or conic, by Forbes' coefficients."""
+    """Deviation from the sphere or conic by Forbes' coefficients."""
 
     norm_radius_mm: Positive
-    """Normalisation radius, in mm, where the surface meets its conic again: the clear aperture, or a little more."""
+    """Normalisation radius, in mm, at which the surface meets its conic again: the clear aperture, or slightly more."""
     coefficients_mm: tuple[Coefficient, ...] = Field(min_length=1, max_length=MOST_ASPHERE_TERMS)
-    """Coefficients a₀, a₁, and on, in mm."""
+    """Forbes' coefficients, from a₀ up, in mm."""
 
     @property
     def largest_error_mm(self) -> float:
-        """Bound of the difference between the sag of the even form and the formula's."""
+        """Error limit on the sag of the even form against the formula."""
         return _LARGEST_ERROR * min(1.0, self.norm_radius_mm)
 
     def even_form(
         self, curvature_per_mm: float, conic: float = 0.0, semi_diameter_mm: float | None = None
     ) -> "EvenForm | None":
-        """Return the even asphere that is this deviation from a conic; None where a conic ends inside the aperture.
+        """Return the deviation from a conic as an even asphere, or None if a conic ends inside the aperture.
 
         Parameters
         ----------
         curvature_per_mm : float
-            Of the conic at its vertex.
+            Vertex curvature of the conic.
         conic : float
-            Its conic constant.
+            Conic constant.
         semi_diameter_mm : float, optional
-            Radius of the clear aperture; that of the polynomials if left out.
+            Radius of the clear aperture. Default: the normalisation radius.
 
         Returns
         -------
@@ -66,7 +66,7 @@ class Qbfs(Model):
 
 @dataclass(frozen=True)
 class EvenForm:
-    """A conic and even terms, and how far their sag is from that of Forbes' formula."""
+    """A conic with even terms, and the error of its sag against Forbes' formula."""
 
     radius_mm: float
     conic: float
@@ -100,7 +100,7 @@ def _conic(curvature: Decimal, conic: Decimal, r2: Decimal) -> Decimal:
 def _even_form(
     base: tuple[float, float], norm_radius: float, coefficients: tuple[float, ...], reach: float, wanted_mm: float
 ) -> EvenForm | None:
-    """Return the even form with the fewest terms that reach the wanted error, or with the least error."""
+    """Return the even form with the fewest terms that meet the wanted error, or the one with the least error."""
     with localcontext() as context:
         context.prec = _DIGITS
         c, k, rho, rim = *map(Decimal, base), Decimal(norm_radius), Decimal(reach)
@@ -136,7 +136,7 @@ def _even_form(
 
 
 def _float_sum(terms: list[Decimal], x: Decimal) -> float:
-    """Return the sag of the terms at u² = x as the tracer adds it, rounding included."""
+    """Return the sag of the terms at u² = x as the tracer rounds it."""
     power = place = float(x)
     total = 0.0
     for term in terms:
@@ -146,7 +146,7 @@ def _float_sum(terms: list[Decimal], x: Decimal) -> float:
 
 
 def _interpolated(nodes: list[Decimal], values: list[Decimal]) -> list[Decimal]:
-    """Return the coefficients, from x⁰ up, of the polynomial through values at nodes: Newton's divided differences."""
+    """Return the coefficients, from x⁰ up, of the interpolating polynomial, by Newton's divided differences."""
     divided = list(values)
     for level in range(1, len(nodes)):
         for i in range(len(nodes) - 1, level - 1, -1):

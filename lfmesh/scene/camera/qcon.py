@@ -1,8 +1,8 @@
-"""Forbes' strong aspheres, "Q-con": a polynomial beside the conic whose terms are orthogonal over the aperture.
+"""Forbes' strong aspheres, "Q-con": a departure from the conic in terms that are orthogonal over the aperture.
 
 G. W. Forbes, "Shape specification for axially symmetric optical surfaces", Opt. Express 15 (2007) 5218-5226: with
-u = r / ρ, the sag beside the conic is u⁴ Σ a_m Q_m(u²), where Q_m(x) is the Jacobi polynomial P_m^(0,4)(2x − 1). It is
-traced as the even asphere that it is.
+u = r / ρ, the sag beyond the conic is u⁴ Σ a_m Q_m(u²), where Q_m(x) is the Jacobi polynomial P_m^(0,4)(2x − 1). The
+surface is traced as an even asphere.
 """
 
 import math
@@ -15,27 +15,27 @@ from lfmesh.scene.model import Model
 from lfmesh.scene.quantities import Coefficient, Positive
 
 MOST_ASPHERE_TERMS = 14
-"""Terms of an asphere, up to r³⁰."""
+"""Maximum number of terms of an asphere, up to r³⁰."""
 
 
 class Qcon(Model):
     """Deviation from the conic by Forbes' coefficients."""
 
     norm_radius_mm: Positive
-    """Normalisation radius, in mm, where every polynomial is 1: about the clear aperture. Beyond it they grow."""
+    """Normalisation radius, in mm, at which every polynomial is 1: about the clear aperture. Beyond it they grow."""
     coefficients_mm: tuple[Coefficient, ...] = Field(min_length=1, max_length=MOST_ASPHERE_TERMS)
-    """Coefficients a₀, a₁, and on, in mm."""
+    """Forbes' coefficients, from a₀ up, in mm."""
 
     @property
     def asphere_mm(self) -> tuple[float, ...]:
         """Coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ...
 
-        Up to ρ, rounding moves the sag by less than 1e-8 of the largest a_m with ten of them, 1e-13 with four.
+        Up to ρ, rounding changes the sag by less than 1e-8 of the largest a_m with ten terms, 1e-13 with four.
         """
         return _even_terms(self.norm_radius_mm, self.coefficients_mm)
 
     def growth(self, height_mm: float) -> float:
-        """Return the largest term u⁴ Q_m(u²) at a height, of those that have a coefficient; 1 at the norm radius.
+        """Return the largest u⁴ Q_m(u²) at a height among the terms in use; it is 1 at the norm radius.
 
         Parameters
         ----------
@@ -56,7 +56,7 @@ class Qcon(Model):
 
 
 def within_floats(asphere_mm: tuple[float, ...], norm_radius_mm: float) -> bool:
-    """Return whether neither a coefficient nor a power of the height at the rim leaves the floats or loses digits."""
+    """Return whether all coefficients and powers up to the rim are within the range of floats."""
     try:
         highest = norm_radius_mm ** (2 * len(asphere_mm) + 2)
     except OverflowError:

@@ -1,7 +1,7 @@
-"""Shapes of surfaces that are none of revolution: biconics and toroids, cylinders among them.
+"""Surfaces with different x–z and y–z sections: biconics and toroids, including cylinders.
 
-Each is a `Form`, and a field of `Surface`. The keys of the surface itself (`radius_mm`, `conic`, and of a toroid
-`asphere_mm`) are those of the section y–z. OpticStudio calls the two biconic and toroidal.
+Each is a `Form` and a field of `Surface`. The surface's own keys (`radius_mm`, `conic`, and `asphere_mm` for a toroid)
+describe the y–z section. OpticStudio calls them biconic and toroidal.
 """
 
 import math
@@ -30,11 +30,11 @@ from lfmesh.scene.camera.forms import Form, Heights, SurfaceShape, reach_of_coni
 from lfmesh.scene.quantities import Number, Radius
 
 END_WITHIN = 1e-6
-"""Largest relative distance of a toroid's end from the height that it is proven to reach."""
+"""Largest relative distance between a toroid's end and the height that it is proven to reach."""
 
 
 class Biconic(Form):
-    """The section x–z of a biconic."""
+    """The x–z section of a biconic."""
 
     symmetric = True
     radius_x_mm: Radius
@@ -48,7 +48,7 @@ class Biconic(Form):
         Parameters
         ----------
         surface, x_mm, y_mm
-            As for `Form`.
+            As in `Form`.
 
         Returns
         -------
@@ -59,14 +59,14 @@ class Biconic(Form):
         return biconic_sag_mm(c_x, self.conic_x, c_y, surface.conic, x_mm, y_mm)
 
     def ranges_in(self, surface: SurfaceShape, square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
-        """Return bounds of its sag and of its derivatives.
+        """Return bounds of the sag and its derivatives.
 
         See `BiconicParts`.
 
         Parameters
         ----------
         surface, square, sine, cosine
-            As for `Form`.
+            As in `Form`.
 
         Returns
         -------
@@ -78,14 +78,14 @@ class Biconic(Form):
         return parts.height, *_polar(by_x2, by_y2, square, sine, cosine)
 
     def bends_in(self, surface: SurfaceShape, x: Range, y: Range) -> list[Range]:
-        """Return bounds of its sag and of the sag's derivatives.
+        """Return bounds of the sag and its derivatives.
 
         See `BiconicParts`.
 
         Parameters
         ----------
         surface, x, y
-            As for `Form`.
+            As in `Form`.
 
         Returns
         -------
@@ -104,34 +104,32 @@ class Biconic(Form):
     def _parts_in(
         self, surface: SurfaceShape, x2: Range, y2: Range
     ) -> tuple[BiconicParts, tuple[tuple[float, float], tuple[float, float]]]:
-        """Return its parts in cells, and c and a of x and of y."""
+        """Return the parts in cells, and c and a for x and y."""
         c = curvature(self.radius_x_mm), surface.curvature_per_mm
         a = (1.0 + self.conic_x) * c[0] * c[0], (1.0 + surface.conic) * c[1] * c[1]
         bulge, dip = (plus(scaled(of[0], x2), scaled(of[1], y2)) for of in (c, a))
         return biconic_parts(bulge, dip), (c, a)
 
     def reach_mm(self, surface: SurfaceShape) -> float:
-        """Return the height at which the first of its conics turns back.
+        """Return the smaller reach of its two conics.
 
         Parameters
         ----------
         surface : Surface
-            That this is the form of.
 
         Returns
         -------
         float
-            mm; infinite where none turns back.
+            mm; infinite if neither ends.
         """
         return min(super().reach_mm(surface), reach_of_conic_mm(self.radius_x_mm, self.conic_x))
 
     def curvature_x_per_mm(self, surface: SurfaceShape) -> float:
-        """Return its own curvature.
+        """Return the curvature of the x–z section.
 
         Parameters
         ----------
         surface : Surface
-            That this is the form of.
 
         Returns
         -------
@@ -142,13 +140,13 @@ class Biconic(Form):
 
 
 class Toroid(Form):
-    """The section x–z of a toroid."""
+    """The x–z section of a toroid."""
 
     symmetric = True
     without = ("odd_asphere_mm", "qcon", "qbfs", "mesh")
     radius_x_mm: Radius
     """Radius of the circle in the section x–z, in mm: positive towards the sensor; inf is a cylinder's. It is the
-    distance from the vertex to the line, parallel to y, about which the curve of the section y–z turns."""
+    distance from the vertex to the line, parallel to y, about which the y–z section is rotated."""
 
     def sag_at_mm(self, surface: SurfaceShape, x_mm: Heights, y_mm: Heights) -> Heights:
         """Return z above the vertex plane at a point.
@@ -156,7 +154,7 @@ class Toroid(Form):
         Parameters
         ----------
         surface, x_mm, y_mm
-            As for `Form`.
+            As in `Form`.
 
         Returns
         -------
@@ -166,15 +164,15 @@ class Toroid(Form):
         return toroid_sag_mm(curvature(self.radius_x_mm), surface.sag_mm(y_mm), x_mm)
 
     def ranges_in(self, surface: SurfaceShape, square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
-        """Return bounds of its sag and of its derivatives.
+        """Return bounds of the sag and its derivatives.
 
-        With its curve f(y), u = 1 − c_x f and v² = u² − c_x² x², its sag is f + c_x x² / (u + v). Its derivatives by
-        x² and y² are c_x / (2 v) and f′ u / (2 y v).
+        With the y–z section f(y), u = 1 − c_x f and v² = u² − c_x² x², the sag is f + c_x x² / (u + v). Its derivatives
+        by x² and y² are c_x / (2 v) and f′ u / (2 y v).
 
         Parameters
         ----------
         surface, square, sine, cosine
-            As for `Form`.
+            As in `Form`.
 
         Returns
         -------
@@ -194,15 +192,15 @@ class Toroid(Form):
             )
 
     def bends_in(self, surface: SurfaceShape, x: Range, y: Range) -> list[Range]:
-        """Return bounds of its sag and of the sag's derivatives.
+        """Return bounds of the sag and its derivatives.
 
-        With the names of `ranges_in` and e = f′ c_x x / v they are c_x x / v, f′ u / v, then c_x u² / v³, c_x e u / v²
-        and c_x e² / v + f″ u / v.
+        In the notation of `ranges_in`, with e = f′ c_x x / v, the derivatives are c_x x / v, f′ u / v, c_x u² / v³,
+        c_x e u / v² and c_x e² / v + f″ u / v.
 
         Parameters
         ----------
         surface, x, y
-            As for `Form`.
+            As in `Form`.
 
         Returns
         -------
@@ -223,27 +221,25 @@ class Toroid(Form):
         return [toroid_height(c_x, f, x2, u, v), by_x, times(rise, along), in_x, both, plus(turned, bent)]
 
     def reach_mm(self, surface: SurfaceShape) -> float:
-        """Return the height at which it turns back at some azimuth.
+        """Return the largest height reached at every azimuth.
 
         Parameters
         ----------
         surface : Surface
-            That this is the form of.
 
         Returns
         -------
         float
-            mm; infinite where it does not.
+            mm; infinite if it does not end.
         """
         return _toroid_reach_mm(surface)
 
     def curvature_x_per_mm(self, surface: SurfaceShape) -> float:
-        """Return that of its circle.
+        """Return the curvature of the circle.
 
         Parameters
         ----------
         surface : Surface
-            That this is the form of.
 
         Returns
         -------
@@ -261,7 +257,7 @@ def _toroid_reach_mm(surface: SurfaceShape) -> float:
 
 
 def _polar(by_x2: Range, by_y2: Range, square: Range, sine: Range, cosine: Range) -> tuple[Range, Range]:
-    """Return the ranges of derivatives by r² and by the azimuth from those by x² and by y²."""
+    """Convert ranges of derivatives by x² and y² to derivatives by r² and azimuth."""
     out = plus(times(squared(sine), by_x2), times(squared(cosine), by_y2))
     return out, scaled(2.0, times(square, sine, cosine, plus(by_x2, scaled(-1.0, by_y2))))
 
@@ -272,7 +268,7 @@ def _ones(like: Range) -> Range:
 
 
 def _clipped(each: Range) -> Range:
-    """Return the ranges of what is 0 in place of negative."""
+    """Return ranges with negative ends replaced by 0."""
     return np.maximum(each[0], 0.0), np.maximum(each[1], 0.0)
 
 
@@ -282,7 +278,7 @@ def curvature(radius_mm: float) -> float:
 
 
 def biconic_sag_mm(c_x: float, conic_x: float, c_y: float, conic_y: float, x: Heights, y: Heights) -> Heights:
-    """Return (c_x x² + c_y y²) / (1 + √(1 − (1 + k_x) c_x² x² − (1 + k_y) c_y² y²)), where it ends: at its end.
+    """Return (c_x x² + c_y y²) / (1 + √(1 − (1 + k_x) c_x² x² − (1 + k_y) c_y² y²)), with the root clipped at 0.
 
     Parameters
     ----------
@@ -295,7 +291,7 @@ def biconic_sag_mm(c_x: float, conic_x: float, c_y: float, conic_y: float, x: He
 
 
 def toroid_sag_mm(c_x: float, along_y_mm: Heights, x: Heights) -> Heights:
-    """Return the sag of a toroid, whose curve has a sag along y, at a distance x from that curve, mm.
+    """Return the sag of a toroid at a distance x from its y–z section.
 
     From (1/c_x − z)² + x² = (1/c_x − f)²: z = f + c_x x² / (1 − c_x f + √((1 − c_x f)² − c_x² x²)).
 
@@ -303,7 +299,7 @@ def toroid_sag_mm(c_x: float, along_y_mm: Heights, x: Heights) -> Heights:
     ----------
     c_x : float, 1/mm
     along_y_mm : float or array
-        The curve's sag f.
+        Sag f of the y–z section.
     x : float or array, mm
     """
     rest = 1.0 - c_x * along_y_mm
@@ -315,9 +311,9 @@ def toroid_sag_mm(c_x: float, along_y_mm: Heights, x: Heights) -> Heights:
 def toroid_reach_mm(
     c_x: float, c_y: float, conic: float, powers_mm: Sequence[tuple[int, float]], most_mm: float
 ) -> float:
-    """Return a height up to which a toroid is proven to exist at every azimuth, in mm.
+    """Return a height that a toroid is proven to reach at every azimuth.
 
-    It exists where c_x² x² < (1 − c_x f(y))², that is up to the least y² + (1/c_x − f(y))², squared.
+    From c_x² x² < (1 − c_x f(y))², its squared reach is the minimum of y² + (1/c_x − f(y))².
 
     Parameters
     ----------
@@ -325,16 +321,16 @@ def toroid_reach_mm(
         Curvatures.
     conic : float
     powers_mm : sequence of (int, float)
-        Exponents of y and their coefficients, beside the conic.
+        Exponents of y and their coefficients.
     most_mm : float
-        Where the section y–z ends.
+        Reach of the y–z section.
     """
     if c_x == 0.0:
         return most_mm
     end = min(most_mm, 1.0 / abs(c_x))
 
     def ranges_of(low: Array, high: Array) -> tuple[Range, Range]:
-        """Return bounds of the square, times c_x², and of its derivative, by y²."""
+        """Return bounds of the squared reach, times c_x², and of its derivative by y²."""
         y2 = low[:, 0], high[:, 0]
         y, curved = (np.sqrt(y2[0]), np.sqrt(y2[1])), (np.full(len(low), c_y),) * 2
         f, across = (profile_range(curved, conic, powers_mm, y, order) for order in (SAG, ACROSS))
@@ -347,5 +343,5 @@ def toroid_reach_mm(
     if found >= enough:
         return end
     reach = end * math.sqrt(found / enough) * (1.0 - END_WITHIN)
-    # Far inside, relative to the section that was looked at, it is sought once more.
+    # If the reach is far inside the searched range, search again for the same relative accuracy.
     return reach if reach > 0.5 * end else toroid_reach_mm(c_x, c_y, conic, powers_mm, 1.5 * reach)

@@ -1,4 +1,4 @@
-"""The sensor: pixels and their place."""
+"""The sensor: pixels, cover glass, bands and position."""
 
 from collections.abc import Iterator
 
@@ -17,27 +17,27 @@ class Sensor(Model):
     pixels: Pair
     """Number of pixels: columns, rows."""
     pixel_mm: Positive
-    """Width of a pixel, which is also the distance to the next, in mm."""
+    """Width of a pixel, equal to the pixel pitch, in mm."""
     distance_mm: Positive | None = None
     """Distance to the sensor from the array's face nearest it, or from the last lens vertex without array, in mm.
     Omitted: the microlens focal plane; without array the image of `focus_mm`."""
     reflectance: FractionOfOne = 0.0
-    """Share of the light that the pixels' surface reflects at any angle, as a mirror does; they detect the rest.
-    Reflected light may come back. Beside the pixels all light is absorbed."""
+    """Share of the light that the pixels' surface reflects specularly at any angle; they detect the rest. Reflected
+    light may return. All light beside the pixels is absorbed."""
     cover: Cover | None = None
-    """Cover glass before the pixels, parallel to them. It lies between the array, or the lens, and the sensor, and does
-    not move the sensor: it moves the image away from the lens, by t (1 - 1/n), which an omitted `distance_mm`
-    follows."""
+    """Cover glass in front of the pixels, parallel to them. It fits between the array, or the lens, and the sensor and
+    does not move the sensor. It moves the image away from the lens by t (1 - 1/n); an omitted `distance_mm` allows for
+    this."""
     bands: Bands | None = None
     """Channels of the image, each a range of wavelengths: a list of bands, "rgb" or "xyz". "rgb": Gaussians at 600, 540
     and 460 nm, 90 nm wide at half maximum, which together reach from 380 to 735 nm. "xyz": the CIE 1931 colour-matching
-    functions from 380 to 780 nm. A pixel's value is the power by wavelength, weighted with the response. First-order
-    optics takes the centroid of the first band's response. Omitted: single wavelengths, `transport.wavelengths_nm`."""
+    functions from 380 to 780 nm. A pixel's value is the spectral power weighted with the response. First-order optics
+    uses the centroid of the first band's response. Omitted: single wavelengths, `transport.wavelengths_nm`."""
     pose: Pose = Field(default_factory=Pose)
     """Installation error: a motion about the sensor's centre."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the bands."""
+        """Yield faults of the bands and the cover."""
         if self.bands is not None:
             yield from band_faults(self.bands)
         if self.cover is not None and self.distance_mm is not None and self.cover.height_mm >= self.distance_mm:
@@ -51,5 +51,5 @@ class Sensor(Model):
 
     @property
     def size_mm(self) -> tuple[float, float]:
-        """Width and height, in mm."""
+        """Width and height."""
         return self.pixels[0] * self.pixel_mm, self.pixels[1] * self.pixel_mm

@@ -35,7 +35,7 @@ from lfmesh.scene.quantities import (
 
 
 class Surface(Model):
-    """An interface, and what follows it; without curvature and without glass on either side, a pure stop."""
+    """An interface and the medium behind it; flat and without glass on either side, a pure stop."""
 
     radius_mm: Radius = math.inf
     """Radius of curvature at the vertex, in mm: positive when the centre lies towards the sensor; inf is
@@ -43,18 +43,18 @@ class Surface(Model):
     thickness_mm: NonNegative | None = None
     """Distance from this vertex to the next, in mm. Omitted: at the last surface only."""
     index: Index | None = None
-    """Refractive index behind the surface. Or give `glass`. Omitted: air; behind a flat stop that is the first surface,
-    the lens's object medium."""
+    """Refractive index behind the surface. Or give `glass`. Omitted: air; for a flat stop as the first surface, the
+    lens's object medium."""
     glass: Glass | None = None
-    """Glass behind the surface: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168, vd =
+    """Glass behind the surface: a catalogue name such as "SCHOTT/N-BK7", or a dispersion such as { nd = 1.5168, vd =
     64.17 }."""
     semi_diameter_mm: Positive | None = None
-    """Radius of the clear aperture, in mm. A stop may omit it whose size `stop_semi_diameter_mm`, `f_number` or
-    `epd_mm` sets. Where a stop is marked, the others may, too: they then pass the whole beam of every point of the
-    picture, with 5 % to spare, unless the surface ends or meets its neighbour before. Omitted: as wide as the beams by
+    """Radius of the clear aperture, in mm. Omit it at a stop that `stop_semi_diameter_mm`, `f_number` or `epd_mm`
+    sizes. If a stop is marked, the other surfaces may omit it too. They then pass the whole beam of every image point
+    with a margin of 5 %, unless the surface ends or meets its neighbour first. Omitted: as wide as the beams by
     paraxial rays."""
     stop: Flag = False
-    """Mark of the aperture stop."""
+    """True for the aperture stop."""
     coating: Text = UNCOATED
     """Name of a coating of the scene or of the lens, or "none": bare."""
     finish: AnyFinish = POLISHED
@@ -62,26 +62,25 @@ class Surface(Model):
     conic: Number = 0.0
     """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
     asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
-    """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, ...; of a toroid those of y⁴, y⁶, .... The sag is
-    in mm."""
+    """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, ...; for a toroid, of y⁴, y⁶, .... The sag is in
+    mm."""
     odd_asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
-    """Odd aspheric coefficients of r³, r⁵, r⁷, ..., in mm⁻², mm⁻⁴, ..., beside the even ones. None of r: that would be
-    a cone, without a normal at the vertex."""
+    """Odd aspheric coefficients of r³, r⁵, r⁷, ..., in mm⁻², mm⁻⁴, ..., in addition to the even ones. There is no term
+    in r: it would be a cone, without a normal at the vertex."""
     qcon: Qcon | None = None
-    """Forbes' strong asphere, such as { norm_radius_mm = 5.0, coefficients_mm = [0.1, -0.02] }. In place of, or beside,
-    `asphere_mm`."""
+    """Forbes' strong asphere, such as { norm_radius_mm = 5.0, coefficients_mm = [0.1, -0.02] }. Replaces `asphere_mm`,
+    or adds to it."""
     qbfs: Qbfs | None = None
     """Forbes' mild asphere, with the keys of `qcon`, without `asphere_mm` and `qcon`. It is a deviation along the
-    normal of the sphere of `radius_mm`, which is then the best-fit sphere, or of its `conic`. At the vertex the surface
-    has another radius."""
+    normal of the best-fit sphere `radius_mm`, or of its `conic`. The radius at the vertex differs from `radius_mm`."""
 
     biconic: Biconic | None = None
     """Radius and conic constant of the section x–z, such as { radius_x_mm = 40.0, conic_x = -1.0 }. `radius_mm` and
-    `conic` are then those of the section y–z."""
+    `conic` then describe the section y–z."""
     toroid: Toroid | None = None
-    """Circle in the section x–z, such as { radius_x_mm = 40.0 }: the section y–z turns about a line parallel to y. The
-    curve of `radius_mm`, `conic` and `asphere_mm` (of y⁴, y⁶, ...) is the section y–z. With inf it is shifted along x:
-    a cylinder."""
+    """Circle in the section x–z, such as { radius_x_mm = 40.0 }: the section y–z turns about a line parallel to y.
+    `radius_mm`, `conic` and `asphere_mm` (of y⁴, y⁶, ...) then describe the section y–z. An infinite radius extrudes it
+    along x into a cylinder."""
 
     paraxial: Flag = False
     """Ideal thin lens in place of an interface: flat, in air, without reflections. Needs `focal_length_mm`."""
@@ -89,27 +88,27 @@ class Surface(Model):
     """Focal length of a `paraxial` surface, in mm: positive converges, negative diverges; inf does not bend light."""
 
     refractor: Refractor | None = None
-    """A whole element in place of a surface: its shape is a mesh, its axis the mesh's z axis. Beside it only
-    `thickness_mm`, the distance from its last vertex to the next surface, and `semi_diameter_mm` are given."""
+    """A whole element in place of a surface: a mesh, with the lens's axis along the mesh's z axis. The only other keys
+    are `thickness_mm`, the distance from its last vertex to the next surface, and `semi_diameter_mm`."""
     mesh: MeshFace | None = None
-    """Mesh that gives this surface its real shape; radius and asphere are its best fit, for first-order optics."""
+    """Mesh that gives the surface its real shape; radius and asphere are its best fit, for first-order optics."""
 
     @property
     def medium(self) -> Medium:
-        """Material behind the surface: an index, the name of a glass, or None for air."""
+        """Material behind the surface: an index, a glass, or None for air."""
         if self.index is not None:
             return None if self.index == AIR else self.index
         return self.glass
 
     @property
     def is_flat(self) -> bool:
-        """True where the surface is flat all round, whatever its shape."""
+        """True if the surface is flat everywhere, whatever its form."""
         bare = self.curvature_per_mm == self.curvature_x_per_mm == 0 and not any(a for _, a in self.powers_mm)
         return bare and (self.form is None or self.form.is_flat(self))
 
     @property
     def is_plain_stop(self) -> bool:
-        """True for a flat stop of which no medium is given."""
+        """True for a flat stop without a given medium."""
         given = (self.index, self.glass, self.mesh, self.refractor)
         return self.stop and self.is_flat and not self.paraxial and all(each is None for each in given)
 
@@ -120,13 +119,13 @@ class Surface(Model):
 
     @property
     def vertex_radius_mm(self) -> float:
-        """Radius of curvature at the vertex: `radius_mm`, where no `qbfs` deviates from it there."""
+        """Radius of curvature at the vertex; differs from `radius_mm` only with `qbfs`."""
         form = self._qbfs_form
         return self.radius_mm if form is None else form.radius_mm
 
     @property
     def vertex_conic(self) -> float:
-        """Conic constant of the conic that `terms_mm` are added to."""
+        """Conic constant of the base conic, without `terms_mm`."""
         form = self._qbfs_form
         return self.conic if form is None else form.conic
 
@@ -138,7 +137,7 @@ class Surface(Model):
 
     @property
     def terms_mm(self) -> tuple[float, ...]:
-        """Coefficients of r⁴, r⁶, ... of all that the surface deviates from its conic by, in mm⁻³, mm⁻⁵, ..."""
+        """Coefficients of r⁴, r⁶, ... of the total departure from the conic, in mm⁻³, mm⁻⁵, ..."""
         form = self._qbfs_form
         if form is not None:
             return form.asphere_mm
@@ -148,12 +147,12 @@ class Surface(Model):
 
     @property
     def terms_key(self) -> str:
-        """Name of the key that `terms_mm` come from."""
+        """Key that `terms_mm` come from."""
         return "qbfs" if self.qbfs is not None else "asphere_mm" if self.qcon is None else "qcon"
 
     @property
     def thin_lens_power_per_mm(self) -> float:
-        """Power of a `paraxial` surface, 1/mm; 0 for every other."""
+        """Power of a `paraxial` surface, 1/mm, else 0."""
         return 0.0 if self.focal_length_mm is None else 1.0 / self.focal_length_mm
 
     @property
@@ -164,27 +163,27 @@ class Surface(Model):
 
     @property
     def forms(self) -> dict[str, Form]:
-        """Shapes that are none of revolution, by their keys: one at most, or there are faults."""
+        """Shapes without rotational symmetry, by key; a valid surface has at most one."""
         return {key: form for key in _FORMS if (form := getattr(self, key)) is not None}
 
     @property
     def form(self) -> Form | None:
-        """Shape that is none of revolution."""
+        """Shape without rotational symmetry."""
         return next(iter(self.forms.values()), None)
 
     @property
     def section_key(self) -> str | None:
-        """Name of the key of `form`; None: the surface is one of revolution."""
+        """Key of `form`, or None for a surface of revolution."""
         return next(iter(self.forms), None)
 
     @property
     def reach_mm(self) -> float:
-        """Height up to which the surface exists at every azimuth; inf where it never ends."""
+        """Largest height that the surface reaches at every azimuth; inf if it never ends."""
         form = self.form
         return reach_of_conic_mm(self.vertex_radius_mm, self.vertex_conic) if form is None else form.reach_mm(self)
 
     def sag_at_mm(self, x_mm: Heights, y_mm: Heights) -> Heights:
-        """Return z of the surface above its vertex plane at a point, all in mm.
+        """Return z of the surface above its vertex plane at a point.
 
         Parameters
         ----------
@@ -199,12 +198,10 @@ class Surface(Model):
         return self.sag_mm(np.hypot(x_mm, y_mm)) if form is None else form.sag_at_mm(self, x_mm, y_mm)
 
     def sag_mm(self, height_mm: Heights) -> Heights:
-        """Return z of the surface above its vertex plane, at a height from the axis, both in mm.
+        """Return the sag at a height from the axis; for a biconic or toroid, in the y–z section.
 
-        Of a biconic or toroid it is that of the section y–z.
-
-        The standard form of ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4) + Σ B_j r^(2j+3), with
-        `terms_mm` and `odd_asphere_mm`.
+        ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4) + Σ B_j r^(2j+3), with `terms_mm` and
+        `odd_asphere_mm`.
 
         Parameters
         ----------
@@ -222,12 +219,12 @@ class Surface(Model):
 
     @property
     def powers_mm(self) -> tuple[tuple[int, float], ...]:
-        """Each power of r that is added to the conic, with its coefficient."""
+        """Powers of r added to the conic, with their coefficients."""
         even = ((2 * j + 4, a) for j, a in enumerate(self.terms_mm))
         return (*even, *((2 * j + 3, a) for j, a in enumerate(self.odd_asphere_mm)))
 
     def profile_ranges(self, height_mm: Range) -> tuple[Range, Range]:
-        """Return bounds of `sag_mm` between heights, in mm, and of its derivative over the height, in 1/mm.
+        """Return bounds of `sag_mm` between heights, in mm, and of its slope divided by the height, in 1/mm.
 
         Parameters
         ----------
@@ -246,7 +243,7 @@ class Surface(Model):
         return sag, across
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with this surface by itself."""
+        """Yield faults of this surface on its own."""
         if self.refractor is not None:
             yield from self._element_faults()
             return
@@ -284,7 +281,7 @@ class Surface(Model):
         yield from both_given(self.coating, self.finish, "finish")
 
     def _qbfs_faults(self, qbfs: Qbfs) -> Iterator[Fault]:
-        """Yield what Forbes' mild asphere does not go with, and why it has no even form."""
+        """Yield keys that exclude `qbfs`, and the reason if it has no even form."""
         rho, omit = qbfs.norm_radius_mm, "omit it: qbfs deviates from a conic, by all its terms"
         own = {"asphere_mm": self.asphere_mm, "odd_asphere_mm": self.odd_asphere_mm}
         for key, value in own.items():
@@ -311,12 +308,12 @@ class Surface(Model):
             )  # fmt: skip
 
     def _shape_in_words(self) -> str:
-        """Return the keys that say where the surface ends, with their values."""
+        """Return the keys that determine the end of the surface, with their values."""
         y = f"radius_mm = {self.radius_mm:g} and conic = {self.conic:g}"
         return y if self.form is None else f"{y}, {self.form.in_words()}"
 
     def _form_faults(self, key: str, form: Form) -> Iterator[Fault]:
-        """Yield what a shape that is none of revolution does not go with."""
+        """Yield keys that exclude a shape without rotational symmetry."""
         if key != self.section_key:
             yield Fault((key,), None, f"{self.section_key} is given too; give one of them")
         for name, value in self._given_beside():
@@ -325,7 +322,7 @@ class Surface(Model):
                 yield Fault((name,), value, f"omit it: {why}")
 
     def _given_beside(self, *allowed: str) -> Iterator[tuple[str, object]]:
-        """Yield the keys that are given beside those allowed, with their values; None for tables."""
+        """Yield given keys other than the allowed ones, with their values; None for tables."""
         for key, of in type(self).model_fields.items():
             given = getattr(self, key)
             if key not in allowed and given != of.get_default(call_default_factory=True):
@@ -333,12 +330,12 @@ class Surface(Model):
                 yield key, None if isinstance(shown, Model) else shown
 
     def _rim_mm(self) -> float:
-        """Return how far Forbes' terms move the rim of the clear aperture, or of their own."""
+        """Return the largest contribution of a Forbes term to the sag at the rim of the clear aperture."""
         at = self.semi_diameter_mm or (self.qcon.norm_radius_mm if self.qcon is not None else 0.0)
         return max(abs(_term_mm(a, at, 2 * j + 4)) for j, a in enumerate(self.terms_mm))
 
     def _thin_lens_faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with a thin lens, or with a surface that is half one."""
+        """Yield faults of a thin lens, complete or not."""
         if not self.paraxial:
             yield Fault(("focal_length_mm",), self.focal_length_mm, "only a thin lens has one; add paraxial = true")
             return
@@ -373,10 +370,10 @@ _FORMS = tuple(
     for key, of in Surface.model_fields.items()
     if any(isinstance(kind, type) and issubclass(kind, Form) for kind in get_args(of.annotation))
 )
-"""Keys of a surface that are shapes of their own, such as "biconic"."""
+"""Keys of a surface that hold a `Form`, such as "biconic"."""
 
 
 def _term_mm(coefficient: float, height_mm: Heights, power: int) -> Heights:
-    """Return one term of an asphere's sag, infinite where it is larger than any float."""
+    """Return one term of an asphere's sag, infinite on overflow."""
     with np.errstate(over="ignore"):
         return coefficient * np.abs(height_mm if coefficient else 0.0 * height_mm) ** power

@@ -1,1 +1,1 @@
-"""First-order optics of a scene, and what a scene leaves open, solved by them."""
+"""First-order optics of a scene, and the solution of its open parameters."""

@@ -1,6 +1,6 @@
-"""Real rays of the axial beam through the whole rim of the stop, for lenses whose surfaces are none of revolution.
+"""Real rays of the axial beam through the rim of the stop, for lenses without rotational symmetry.
 
-They are samples, from which `skew_bounds` looks for the ray that is farthest out and proves that none is farther.
+From these samples `skew_bounds` finds the outermost ray and proves that none lies farther out.
 """
 
 import math
@@ -18,34 +18,34 @@ from lfmesh.scene.first_order.skew_bounds import widest_mm
 Array = NDArray[np.float64]
 
 AZIMUTHS = 96
-"""Rays through the rim of the stop; the largest height between them follows from a parabola through three."""
+"""Number of rays through the rim of the stop; a parabola through three gives the largest height between them."""
 
 RINGS = 2
-"""Rings of the stop with so many rays each, the outermost its rim. Other rays of the beam are looked for from there."""
+"""Number of rings of rays in the stop, including its rim; they are starting points for other rays of the beam."""
 
 STEPS = 20
-"""Of Newton's method towards a surface."""
+"""Maximum number of Newton steps to a surface."""
 
 DIFFERENCE = 1e-6
-"""Step by which the slope of a surface is found, over its clear aperture; of rays over the stop's radius."""
+"""Finite-difference step: of a surface's slope, over its clear aperture; of rays, over the stop's radius."""
 
 
 def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, clear_mm: ArrayLike = 0.0) -> Beam:
-    """Return how far from the axis the beam that fills the stop meets each surface, no aperture in its way.
+    """Return the largest height at each surface of the beam that fills the stop, ignoring other apertures.
 
     Parameters
     ----------
     lens : Lens
-        Solved; its elements stand as prescribed.
+        Solved; poses of its elements are ignored.
     wavelength_nm, object_mm : float
-        As for `meridional.heights_mm`.
+        As in `meridional.heights_mm`.
     clear_mm : float or (surfaces,) float, mm
-        As for `beam_bounds.widest_mm`.
+        As in `beam_bounds.widest_mm`.
 
     Returns
     -------
     Beam
-        Without heights where no ray reaches the rim of the stop.
+        Without heights if no ray reaches the rim of the stop.
     """
     stop = lens.stop_index or 0
     radius = lens.surfaces[stop].semi_diameter_mm or math.nan
@@ -63,7 +63,7 @@ def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, clear_mm: ArrayL
         return Beam([], [])
     met = np.hypot(*np.moveaxis(_crossings(lens, wavelength_nm, object_mm, rays.start), 2, 0))
     found = np.array([max(_largest(each) for each in heights.reshape(RINGS, AZIMUTHS)) for heights in met[:-1]])
-    # A ray ends at the surface that it misses, or behind which it is no more.
+    # A ray ends at the surface that it misses, or beyond which it does not continue.
     goes_on = np.isfinite(met[:-1]) & np.isfinite(met[1:])
     ends = ~goes_on & np.logical_and.accumulate(np.vstack([goes_on[:1] | True, goes_on]))[:-1]
     found[ends[:, np.isfinite(met[stop])].any(axis=1)] = np.inf
@@ -71,7 +71,7 @@ def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, clear_mm: ArrayL
 
 
 def _largest(heights: Array) -> float:
-    """Return the largest of heights round a circle, by a parabola through the highest and its neighbours."""
+    """Return the largest height around a circle, by a parabola through the highest samples."""
     k = int(np.nanargmax(heights)) if np.isfinite(heights).any() else 0
     before, top, behind = heights[k - 1], heights[k], heights[(k + 1) % len(heights)]
     bend = 2.0 * top - before - behind
@@ -80,9 +80,9 @@ def _largest(heights: Array) -> float:
 
 
 def _crossings(lens: Lens, wavelength_nm: float, object_mm: float, entry: Array) -> Array:
-    """Return where rays of the axial point that enter at places (n, 2) meet surfaces, (surfaces + 1, n, 2) mm.
+    """Return the points where axial-point rays entering at (n, 2) meet the surfaces, (surfaces + 1, n, 2) mm.
 
-    NaN from where a ray misses a surface or is totally reflected; last are slopes behind all surfaces.
+    NaN after a miss or total reflection; the last entry holds slopes behind all surfaces.
     """
     p, met = np.column_stack([entry, np.zeros(len(entry))]), []
     d = np.column_stack([entry / object_mm, np.ones(len(entry))])
@@ -118,7 +118,7 @@ def _met(surface: Surface, p: Array, d: Array) -> Array:
 
 
 def _normal(surface: Surface, p: Array) -> Array:
-    """Return unit normals (n, 3), towards +z at the vertex."""
+    """Return unit normals (n, 3), pointing to +z at the vertex."""
     x, y = p[:, 0], p[:, 1]
     step = DIFFERENCE * (surface.semi_diameter_mm or 1.0)
     by_x = (surface.sag_at_mm(x + step, y) - surface.sag_at_mm(x - step, y)) / (2.0 * step)

@@ -1,10 +1,10 @@
-"""Bounds of the meridional rays of a zone: heights that no ray of it exceeds, by interval arithmetic.
+"""Bounds on the heights of a zone's meridional rays, by interval arithmetic.
 
-A zone is an interval of heights in the plane of the first vertex. Every number of its rays is an interval, too, and so
-are derivatives by the height at which rays enter: a height lies within that of the middle ray plus the derivative's
-bounds times half the zone (mean value form: R. E. Moore, R. B. Kearfott and M. J. Cloud, Introduction to Interval
-Analysis, 2009, chapter 6). The place on a surface is enclosed by the interval Newton method (chapter 8 there), which
-proves that there is one. Intervals without ends stand for rays that may end before.
+A zone is an interval of entry heights in the plane of the first vertex. All quantities of its rays, and their
+derivatives by the entry height, are intervals too. A height differs from the middle ray's by at most the derivative's
+bound times half the zone (mean value form: R. E. Moore, R. B. Kearfott and M. J. Cloud, Introduction to Interval
+Analysis, 2009, chapter 6). The interval Newton method (chapter 8) proves and encloses the point on a surface. Unbounded
+intervals stand for rays that may have ended.
 """
 
 import math
@@ -31,19 +31,19 @@ from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.surface import Surface
 
 STEPS = 24
-"""Of the secant method towards a surface, for the middles of zones, at most."""
+"""Maximum number of secant steps to a surface, for the middles of zones."""
 
 WIDENINGS = 4
-"""Largest number of trials to enclose the places at which the rays of a zone meet a surface."""
+"""Maximum number of trials to enclose the points where the rays of a zone meet a surface."""
 
 WIDER = 1.5
-"""By how much each is wider than the one before."""
+"""Factor by which each trial widens the previous one."""
 
 ZONES, HALVINGS, MOST_OPEN = 16, 18, 4096
-"""Zones of a beam at first, how often they are divided in two at most, and how many are left to divide at most."""
+"""Initial number of zones of a beam, maximum number of bisections, and maximum number of zones left to bisect."""
 
 CLOSE = 1e-6
-"""Relative error of the width of a beam, and the share of its light that may remain undecided."""
+"""Relative error of the width of a beam, and fraction of its light that may remain undecided."""
 
 
 class Beam(NamedTuple):
@@ -52,10 +52,10 @@ class Beam(NamedTuple):
     Attributes
     ----------
     found_mm : list of float
-        Of rays that were followed. 0: none reaches the surface. inf: some end there, as they miss the surface or are
-        totally reflected by it; what lies behind it is not looked at.
+        Of traced rays. 0: none arrives. inf: some end there, by a miss or total reflection; surfaces behind are not
+        examined.
     proven_mm : list of float
-        No ray is higher than this, or than a `clear_mm` that was given, but for `CLOSE`; inf where nothing is proven.
+        No ray is higher than this or a given `clear_mm`, within `CLOSE`; inf if nothing is proven.
     """
 
     found_mm: list[float]
@@ -68,11 +68,11 @@ class Zones(NamedTuple):
     Attributes
     ----------
     heights_mm : (surfaces, 2, n) float64
-        Lower and upper bounds; infinite from where not all rays of a zone are known to come.
+        Lower and upper bounds; infinite once some rays of a zone may have ended.
     slopes : (surfaces, 2, n) float64
-        Of the derivatives of heights by the height at which rays enter.
+        Bounds of the derivatives of heights by the entry height.
     pass_on : (surfaces, n) bool
-        All rays of the zone are known to meet the surface, and to go on behind it.
+        True if all rays of the zone are known to continue behind the surface.
     """
 
     heights_mm: Array
@@ -81,7 +81,7 @@ class Zones(NamedTuple):
 
 
 class _Rays(NamedTuple):
-    """Heights in a plane, angles to the axis, and their derivatives by the entries: two arrays (n,) each."""
+    """Heights in a plane, angles to the axis, and their derivatives by the entry heights: two arrays (n,) each."""
 
     height: Range
     angle: Range
@@ -92,20 +92,20 @@ class _Rays(NamedTuple):
 def widest_mm(
     lens: Lens, wavelength_nm: float, object_mm: float, entry_mm: float, clear_mm: ArrayLike = 0.0
 ) -> tuple[Beam, bool]:  # fmt: skip
-    """Return the largest height at each surface of the rays up to one that pass the stop, no aperture in their way.
+    """Return the largest height at each surface of rays that pass the stop, ignoring other apertures.
 
-    Zones are divided until no ray of any can be higher, by more than `CLOSE`, than one that was found. True if it is
-    proven that all these rays pass the stop.
+    Zones are bisected until no ray can be higher than a traced one by more than `CLOSE`. The second value is True if
+    all rays up to the outermost are proven to pass the stop.
 
     Parameters
     ----------
     lens, wavelength_nm, object_mm
-        As for `followed`.
+        As in `followed`.
     entry_mm : float
-        Height of the outermost ray in the plane of the first vertex, above 0.
+        Entry height of the outermost ray, above 0.
     clear_mm : float or (surfaces,) float, mm
-        A beam that is proven to stay below is not followed more closely: its largest height lies between that of the
-        rays that were followed and this.
+        Limit below which a beam is not refined further: its largest height lies between that of the traced rays and
+        this.
     """
     stop = lens.stop_index or 0
     radius = (1.0 + CLOSE) * (lens.surfaces[stop].semi_diameter_mm or math.nan)
@@ -114,7 +114,7 @@ def widest_mm(
     clear = np.broadcast_to(np.asarray(clear_mm, np.float64), len(widest))[:, None]
     all_pass = True
     for halving in range(HALVINGS + 1):
-        # Both edges of each zone, and the zone.
+        # Both edges of each zone, then the zone itself.
         zones = followed(
             lens, wavelength_nm, object_mm, np.concatenate([low, high, low]), np.concatenate([low, high, high])
         )
@@ -122,12 +122,12 @@ def widest_mm(
         highest = np.abs(zones.heights_mm).max(axis=1)
         beside = (zones.heights_mm[stop, 0] > radius) | (zones.heights_mm[stop, 1] < -radius)
         inside = highest[stop] <= radius
-        # A ray that passes the stop and goes on from no surface behind it ends at the first such.
+        # A ray that passes the stop ends at the first surface that it does not continue from.
         going = np.logical_and.accumulate(np.concatenate([np.ones_like(inside)[None], zones.pass_on]))
         reached = np.where(going[1:], highest, np.where(going[:-1], np.inf, 0.0))[:, : 2 * count]
         widest = np.maximum(widest, np.max(np.where(inside[: 2 * count], reached, 0.0), axis=1, keepdims=True))
         bounds = np.where(zones.pass_on, highest, np.inf)[:, 2 * count :]
-        # Heights that rise or fall all through a zone are largest on an edge.
+        # Heights that are monotonic in a zone are largest on an edge.
         steady = (zones.slopes[:, 0] * zones.slopes[:, 1] >= 0.0)[:, 2 * count :] & (bounds < np.inf)
         whole = inside[2 * count :] | (steady[stop] & inside[:count] & inside[count : 2 * count])
         low_enough = (bounds < np.inf) & (bounds <= np.maximum(widest * (1.0 + CLOSE), clear))
@@ -140,7 +140,7 @@ def widest_mm(
         middle = 0.5 * (low + high)
         low, high = np.append(low, middle), np.append(middle, high)
     proven = widest[:, 0].copy()
-    # Zones round a ray that ends stay open, and hold hardly any light. Of more than that, bounds are all that is known.
+    # Zones around a ray that ends stay open but hold hardly any light. If they hold more, only bounds are known.
     if float((high - low) @ (high + low)) > CLOSE * entry_mm**2:
         proven = np.maximum(proven, np.where(settled, 0.0, bounds)[:, open_].max(axis=1))
     found = Beam([float(each) for each in widest[:, 0]], [float(each) for each in proven])
@@ -148,17 +148,17 @@ def widest_mm(
 
 
 def followed(lens: Lens, wavelength_nm: float, object_mm: float, low_mm: Array, high_mm: Array) -> Zones:
-    """Return bounds of the rays of zones at every surface, whatever apertures they pass.
+    """Return bounds of the rays of zones at every surface, ignoring apertures.
 
     Parameters
     ----------
     lens : Lens
-        Solved, its surfaces all of revolution.
+        Solved, with surfaces of revolution only.
     wavelength_nm : float
     object_mm : float
-        As for `meridional.heights_mm`.
+        As in `meridional.heights_mm`.
     low_mm, high_mm : (n,) float64
-        Heights in the plane of the first vertex, between which a zone lies; single rays where both are equal.
+        Limits of each zone; equal limits give a single ray.
     """
     count, half = len(low_mm), 0.5 * (high_mm - low_mm)
     middle = low_mm + half
@@ -200,7 +200,7 @@ def _through(surface: Surface, rays: _Rays, ratio: float, gap: float, half: Arra
         turn_by = times(quotient(bend, _one_and_square(rise)), met_by)
         inside = plus(rays.angle, turn)
         sines = [ratio * np.sin(end) for end in inside]
-        # Beyond a right angle the surface is met from behind; beyond a sine of one there is total reflection.
+        # Past a right angle the ray meets the surface from behind; past a sine of 1 it is totally reflected.
         bends = (inside[0] > -0.5 * math.pi) & (inside[1] < 0.5 * math.pi) & (sines[0] >= -1.0) & (sines[1] <= 1.0)
         inside = known_where(bends, inside)
         outside = known_where(bends, [np.arcsin(each) for each in sines])
@@ -216,7 +216,7 @@ def _through(surface: Surface, rays: _Rays, ratio: float, gap: float, half: Arra
 
 
 def _met(surface: Surface, height: Range, steep: Range) -> Range:
-    """Return an interval that holds the one height at which each ray meets a surface; without ends if unproven."""
+    """Enclose the height of each ray's intersection with a surface; unbounded if unproven."""
     h, t = (0.5 * (each[0] + each[1]) for each in (height, steep))
     before, middle = h, h + surface.sag_mm(h) * t
     off_before = before - h - surface.sag_mm(before) * t
@@ -240,18 +240,18 @@ def _met(surface: Surface, height: Range, steep: Range) -> Range:
 
 
 def enclosed(middle: Array, apart: Range, falls: Callable[[Range], Range], spare: Array) -> Range:
-    """Return ranges that hold the one zero of each of some functions, by interval Newton; without ends if unproven.
+    """Enclose the zero of each of several functions by interval Newton; ranges are unbounded if unproven.
 
     Parameters
     ----------
     middle : (n,) float64
-        Places near the zeros.
+        Points near the zeros.
     apart : (n,) float64 each
-        Bounds of the functions there.
+        Bounds of the functions at these points.
     falls : callable
         Returns bounds of their derivatives over ranges.
     spare : (n,) float64
-        Half the widths of the ranges that are tried first.
+        Half widths of the first trial ranges.
     """
     found = np.full_like(middle, -np.inf), np.full_like(middle, np.inf)
     open_ = np.ones(len(middle), np.bool_)
@@ -269,12 +269,12 @@ def enclosed(middle: Array, apart: Range, falls: Callable[[Range], Range], spare
 
 
 def _shape(surface: Surface, height: Range) -> tuple[Range, Range, Range]:
-    """Return bounds of the sag at heights, and of its first and second derivative; without ends where it may end."""
+    """Return bounds of the sag at heights and of its first two derivatives; unbounded where it may end."""
     return meridian_ranges(surface.curvature_per_mm, surface.vertex_conic, surface.powers_mm, height)
 
 
 def _tightened(value: Range, slope: Range, half: Array) -> Range:
-    """Return ranges (2 n,) within those of the mean value form; the second half are those of middle rays."""
+    """Intersect ranges (2 n,) with their mean value form; the second half belongs to the middle rays."""
     count = len(half)
     reach = half * np.maximum(-slope[0], slope[1])[:count]
     reach = np.where(half > 0.0, reach, 0.0)
@@ -301,7 +301,7 @@ def _tangent(angle: Range) -> Range:
 
 
 def _cosine(of: Range) -> Range:
-    """Return the cosine of angles within a right angle."""
+    """Return the cosine of angles within ±90 degrees."""
     one, other = np.cos(of[0]), np.cos(of[1])
     cosine = np.minimum(one, other), np.where((of[0] <= 0.0) & (of[1] >= 0.0), 1.0, np.maximum(one, other))
     return np.nan_to_num(cosine[0], nan=0.0), np.nan_to_num(cosine[1], nan=1.0)

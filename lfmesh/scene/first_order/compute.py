@@ -1,4 +1,4 @@
-"""The figures of the first-order report, computed from the paraxial lens."""
+"""Compute the figures of the first-order report from the paraxial lens."""
 
 import math
 from collections.abc import Iterator
@@ -22,49 +22,45 @@ AIRY_RING = 1.2196698912665045
 
 
 def first_order(scene: Scene) -> FirstOrder:
-    """Compute the first-order report of a scene, which is solved first.
+    """Solve a scene and compute its first-order report.
 
-    The micro-image pitch follows from the chief rays: a ray from the middle of the exit pupil through a
-    lenslet's principal points, which lie `D` behind the pupil and (reduced to air) `d` before the sensor,
-    lands (D + d)/D times the lenslet's offset from the axis. The front principal point of a plano-convex
-    lenslet is its apex when the curved face looks at the lens; else it is the apex seen from air through the
-    plate.
+    The micro-image pitch follows from the chief rays. A lenslet's principal points lie `D` behind the exit pupil and
+    (reduced to air) `d` before the sensor. A ray from the centre of the pupil through them lands (D + d)/D times the
+    lenslet's offset from the axis. The front principal point of a plano-convex lenslet is its apex, seen through the
+    plate if the flat face faces the lens.
 
     The refocus range ends where the shift between neighbouring views is one lenslet. Views a pixel apart are
-    δu = pixel · D/d apart on the exit pupil; an image point a distance ε behind the array shifts by
-    δu · ε/(D + ε) between them. Setting that to ± one pitch p gives ε = ± (p d / pixel) / (1 ∓ p/δu). For a
-    distant pupil this is what R. Ng et al. found ("Light field photography with a hand-held plenoptic
-    camera", Stanford CTSR 2005-02): P × P pixels a lenslet refocus exactly within the depth of field of an
-    f-number P times higher.
+    δu = pixel · D/d apart on the exit pupil. An image point ε behind the array shifts by δu · ε/(D + ε) between them.
+    Equating that to ± one pitch p gives ε = ± (p d / pixel) / (1 ∓ p/δu). For a distant pupil this is the result of
+    R. Ng et al. ("Light field photography with a hand-held plenoptic camera", Stanford CTSR 2005-02): P × P pixels per
+    lenslet refocus exactly within the depth of field of an f-number P times higher.
 
-    The Airy disks are what diffraction at a circular aperture makes of a point, `airy_disk_mm`: the lens's at its
-    working f-number, which holds the actual conjugates and the exit pupil; a lenslet's at its own, the distance to the
-    sensor over the pitch, or over its clear diameter. (A square lenslet's pattern has its first dark lines 2 λ N apart,
-    and its corners reach less far: the circle as wide as the pitch stands for it.) They are given for the scene's
-    longest wavelength.
+    The Airy disks (`airy_disk_mm`) are for the scene's longest wavelength. The lens's follows from its working
+    f-number, a lenslet's from its distance to the sensor over its pitch or clear diameter. (A square lenslet has its
+    first dark lines 2 λ N apart; the circle as wide as the pitch represents it.)
 
     Raises
     ------
     SceneError
-        As `solved`.
+        As in `solved`.
     """
     ready = solved(scene)
     return with_warnings(ready, without_warnings(ready))
 
 
 def with_warnings(scene: Scene, facts: FirstOrder) -> FirstOrder:
-    """Return the report of a scene that is solved already with the warnings that follow from it."""
+    """Return the report of a solved scene with its warnings added."""
     return replace(facts, warnings=warnings(scene, facts))
 
 
 def without_warnings(scene: Scene) -> FirstOrder:
-    """Return the report of a scene that is solved already without its warnings, which take longest."""
+    """Return the report of a solved scene without its warnings, which take longest."""
     facts = facts_of_solved(scene)
     return replace(facts, kick_error=_kick_error(scene, facts))
 
 
 def facts_of_solved(scene: Scene) -> FirstOrder:
-    """Return the report of a scene that is solved already without what takes long: warnings, and errors of pictures."""
+    """Return the report of a solved scene without the slow parts: warnings and picture errors."""
     camera, wavelength = scene.camera, scene.primary_nm
     lens = Paraxial.of(camera.lens, wavelength)
     stop_radius = camera.lens.surfaces[lens.stop].semi_diameter_mm or math.nan
@@ -98,7 +94,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     field = FieldOfView.of(camera, (across, lens), (plane, image), stop_radius)
     longest = scene.reach_nm[1]
     airy = airy_disk_mm(longest, cone(image))
-    # A lenslet diffracts at its clear aperture, and its micro-images stand a pitch apart.
+    # A lenslet diffracts at its clear aperture, but its micro-images are a pitch apart.
     clear = (camera.mla.clear_diameter_mm or camera.mla.pitch_mm) if camera.mla else math.nan
     own = micro[0] * camera.mla.pitch_mm / clear if micro and camera.mla else None
     fresnel = clear / (4e-6 * longest * own) if own else None
@@ -149,9 +145,9 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
 
 
 def _kick_error(scene: Scene, facts: FirstOrder) -> KickError | None:
-    """Return the errors of pictures with and without diffraction; None of round apertures, and beyond the tables.
+    """Return picture errors with and without diffraction, or None for round apertures and beyond the tables.
 
-    True faces count where the lenslets' diffraction is traced, or is warned of as it is not.
+    True faces are used if the lenslets' diffraction is traced, or a warning says that it is not.
     """
     camera, mla, fresnel = scene.camera, scene.camera.mla, facts.microlens_fresnel_number
     pitch, diameter = facts.micro_image_pitch_px, facts.micro_image_diameter_px
@@ -169,18 +165,18 @@ def _kick_error(scene: Scene, facts: FirstOrder) -> KickError | None:
 
 
 def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:
-    """Return the diameter of the first dark ring round the image of a point, in mm: 2.44 λ N.
+    """Return the diameter of the first dark ring around the image of a point: 2.44 λ N.
 
-    The first zero of J₁ is at 1.2197 π: the ring has the radius 1.22 λ N (Born and Wolf, Principles of Optics, section
-    8.5.2), N the f-number at which the cone of light converges in air, 1 / (2 sin θ').
+    The first zero of J₁ is at 1.2197 π, so the ring has the radius 1.22 λ N (Born and Wolf, Principles of Optics,
+    section 8.5.2). N = 1 / (2 sin θ') is the f-number of the converging cone in air.
     """
     return 2.0 * AIRY_RING * wavelength_nm * 1e-6 * f_number
 
 
 def _refocus_depth_mm(camera: Camera, wavelength_nm: float, f_number: float) -> float:
-    """Return how deep the range that can be refocused is to each side of the image plane, for a distant pupil, in mm.
+    """Return the depth of the refocus range on each side of the image plane, for a distant pupil.
 
-    Without an array: the depth in which the blur is a pixel; the pupil's diameter takes the place of the view spacing.
+    Without an array, the blur within it is at most a pixel: the pupil's diameter replaces the view spacing.
     """
     pixel = camera.sensor.pixel_mm
     if camera.mla is None:
@@ -191,9 +187,9 @@ def _refocus_depth_mm(camera: Camera, wavelength_nm: float, f_number: float) -> 
 def _refocus_range(
     camera: Camera, wavelength_nm: float, lens: Paraxial, f_number: float
 ) -> tuple[float, float, tuple[tuple[float, float, float], ...]]:
-    """Return the ends of the range that can be refocused, and the depth of field of photographs of it, in mm.
+    """Return the ends of the refocus range, and the depth of field of photographs in it, in mm.
 
-    The range is that of the shifts up to `_refocus_depth_mm` of the plane of lenslets or sensor.
+    The plane of lenslets or sensor is shifted by up to `_refocus_depth_mm`.
     """
     shifts = along_shifts(lens, image_plane_mm(camera, wavelength_nm))
     depth = abs(_refocus_depth_mm(camera, wavelength_nm, f_number))
@@ -201,7 +197,7 @@ def _refocus_range(
     if camera.mla is None:
         return near, far, ()
     sharp = camera.mla.pitch_mm * f_number
-    # The farthest photograph is one of infinity, not of image points before its own.
+    # The farthest photograph is one of infinity, not of image points in front of infinity's image.
     farthest, nearest = shifts.real(-depth, depth) or (-depth, depth)
     planes = (near, nearest), (shifts.object_mm(0.0), 0.0), (far, farthest)
     return near, far, tuple((plane, *shifts.between_mm(at - sharp, at + sharp)) for plane, at in planes)
@@ -223,7 +219,7 @@ def _on_object(size_mm: float, magnification: float) -> float:
 
 
 def _pose_lines(camera: Camera) -> Iterator[str]:
-    """Yield the pose of every lens element, of array and sensor, that is not in its place."""
+    """Yield the pose of every lens element, array or sensor that is out of place."""
     posed = []
     for element in camera.lens.elements:
         first, last = element.surfaces[0], element.surfaces[-1]

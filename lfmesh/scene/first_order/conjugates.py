@@ -1,14 +1,14 @@
-"""Object distances along a range of image points, as ratios: infinity is a point of the axis like any other.
+"""Object distances along a range of image points, as ratios, so that infinity needs no special case.
 
-A lens maps the axis projectively. With the matrices of the lens, T from its first vertex to the stop, F from there to
-behind the last vertex and M = F T, and the height h = F_b + i F_d at which the ray through the middle of the stop with
-the slope 1 meets the plane i behind the last vertex, the image point at which views a distance u apart on the exit
-pupil shift by u t / D on that plane, D behind the pupil, has the object distance
+T and F are the matrices from the first vertex to the stop and on to behind the last vertex, M = F T, and n is the index
+before the lens. The ray through the centre of the stop with slope 1 meets a plane, i behind the last vertex and D
+behind the exit pupil, at the height h = F_b + i F_d. An image point for which views u apart on the exit pupil shift by
+u t / D on that plane has the object distance
 
     x = −n ((M_b + M_d i) h − t T_b) / ((M_a + M_c i) h − t T_a).
 
-No term of it is infinite for a telecentric or an afocal lens, nor where the image point lies in the exit pupil. It
-falls as t grows, since its derivative is −n h² over the square of the denominator.
+No term is infinite, even for a telecentric or afocal lens or an image point in the exit pupil. x falls as t grows: its
+derivative is −n h² over the square of the denominator.
 """
 
 import math
@@ -17,17 +17,17 @@ from typing import NamedTuple
 from lfmesh.scene.first_order.paraxial import ROUNDED, Paraxial, quotient
 
 NOTHING = math.inf, math.inf
-"""Near and far end of a range without a real object."""
+"""Near and far end of a range without real objects."""
 
 
 class Conjugates(NamedTuple):
-    """Object distances (p + q t) / (r + s t), which fall as t grows; those of real objects are positive, or infinite.
+    """Object distances (p + q t) / (r + s t), which fall as t grows; positive or infinite for real objects.
 
     Attributes
     ----------
     p, q, r, s : float
     least, most : float
-        Range of t beyond whose ends images would have to come round through infinity.
+        Range of t; images beyond its ends would have to pass through infinity.
     """
 
     p: float
@@ -38,14 +38,14 @@ class Conjugates(NamedTuple):
     most: float = math.inf
 
     def object_mm(self, t: float) -> float:
-        """Return the object distance at t, in mm; negative for a virtual object."""
+        """Return the object distance at t; negative for a virtual object."""
         return quotient(_sum(self.p, self.q * t), _sum(self.r, self.s * t))
 
     def real(self, low: float, high: float) -> tuple[float, float] | None:
-        """Return the part of a range of t in which objects are real; None where none are.
+        """Return the part of a range of t with real objects, or None.
 
-        As t grows, real objects fill one stretch, from infinity to the first vertex. It may pass through t = ∞: of the
-        two parts of the range it then fills, the one nearer to the middle is returned.
+        As t grows, real objects fill one stretch, from infinity to the first vertex. If it passes through t = ∞ and
+        covers two parts of the range, the one nearer to the middle is returned.
 
         Parameters
         ----------
@@ -65,33 +65,33 @@ class Conjugates(NamedTuple):
         return min(parts, key=lambda part: max(part[0] - middle, middle - part[1]), default=None)
 
     def between_mm(self, low: float, high: float) -> tuple[float, float]:
-        """Return the nearest and the farthest distance of real objects in a range of t, in mm.
+        """Return the nearest and farthest distance of real objects in a range of t.
 
         Parameters
         ----------
         low, high : float
-            As for `real`.
+            As in `real`.
 
         Returns
         -------
         near_mm, far_mm : float
-            `NOTHING` without a real object.
+            `NOTHING` if there is no real object.
         """
         part = self.real(low, high)
         if part is None:
             return NOTHING
         near, far = (self.object_mm(end) for end in reversed(part))
-        # Rounding may put an end that lies at infinity, or at the first vertex, just beyond it.
+        # Rounding may put an end at infinity, or at the first vertex, just beyond it.
         near = near if near > 0.0 else 0.0
         return near, far if far >= near else math.inf
 
 
 def along_shifts(lens: Paraxial, image_mm: float) -> Conjugates:
-    """Return the object distances along the shift t of a plane behind the last vertex; see the head of this module."""
+    """Return the object distances along the shift t of a plane behind the last vertex."""
     to_stop, whole = lens.to_stop, lens.whole
     index, height = lens.indices[0], lens.chief_height_mm(image_mm)
     if height == 0.0:
-        # The plane is the exit pupil: all of its views are of the entrance pupil alone.
+        # The plane is the exit pupil: all its views show only the entrance pupil.
         return Conjugates(p=-index * to_stop.b, q=0.0, r=to_stop.a, s=0.0)
     infinite = quotient(height, lens.from_stop.d)
     return Conjugates(
@@ -105,15 +105,15 @@ def along_shifts(lens: Paraxial, image_mm: float) -> Conjugates:
 
 
 def along_depths(lens: Paraxial, lenslets_mm: float, to_sensor_mm: float, per_depth: float) -> Conjugates:
-    """Return the object distances along the inverse virtual depth t of lenslets, their image points d/t before them.
+    """Return the object distances along the inverse virtual depth t, for image points d/t before the lenslets.
 
     Parameters
     ----------
     lens : Paraxial
     lenslets_mm : float
-        Of the lenslets behind the last vertex.
+        Distance of the lenslets behind the last vertex.
     to_sensor_mm : float
-        d, from the lenslets to the sensor.
+        Distance d from the lenslets to the sensor.
     per_depth : float
         t of the plane in focus.
     """
@@ -129,6 +129,6 @@ def along_depths(lens: Paraxial, lenslets_mm: float, to_sensor_mm: float, per_de
 
 
 def _sum(first: float, second: float) -> float:
-    """Add, with 0 for what is only rounding."""
+    """Add, returning 0 for a sum that is only rounding."""
     total = first + second
     return 0.0 if abs(total) <= ROUNDED * max(abs(first), abs(second)) else total

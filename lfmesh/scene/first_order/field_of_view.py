@@ -1,4 +1,4 @@
-"""The field of view at any distance, as lines along the chief rays of the picture's edges: no plane is an exception."""
+"""The field of view at any distance, as lines along the chief rays of the picture's edges."""
 
 import math
 from typing import NamedTuple
@@ -7,20 +7,20 @@ from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.first_order.paraxial import Paraxial
 
 UNBOUNDED = math.inf, math.inf
-"""Size at the vertex and slope of a field, or of a beam, that the stop does not limit."""
+"""Size at the vertex and slope of a field, or beam, that the stop does not limit."""
 
 
 class FieldOfView(NamedTuple):
-    """Width and height that array and sensor see at a plane z before the lens, and the beam: |at_vertex + slope z|.
+    """Width and height of the field at a plane z before the lens, and the beam there: |at_vertex + slope z|.
 
     Attributes
     ----------
     at_vertex_mm : (width, height)
-        At z = 0, in mm; inf where the middle of the stop is imaged onto array or sensor.
+        At z = 0, in mm; inf if the centre of the stop is imaged onto the array or sensor.
     slope : (width, height)
-        Change of the same a mm of z; inf likewise.
+        Change per mm of z; inf likewise.
     beam_at_vertex_mm, beam_slope : float
-        The same of the diameter of the beam that meets a point of the array or sensor, by which the edge is soft.
+        The same for the diameter of the beam to a point of the array or sensor.
     """
 
     at_vertex_mm: tuple[float, float]
@@ -42,9 +42,9 @@ class FieldOfView(NamedTuple):
         ----------
         camera : Camera
         sections : (Paraxial, Paraxial)
-            The lens in the sections x–z and y–z.
+            The lens in the x–z and y–z sections.
         planes_mm : (float, float)
-            Of array or sensor, and of the image of the plane in focus, behind the last vertex.
+            Distances behind the last vertex of the array or sensor, and of the image of the plane in focus.
         stop_radius_mm : float
         """
         sizes = camera.sensor.size_mm
@@ -68,17 +68,17 @@ class FieldOfView(NamedTuple):
         return cls((width, height), (width_slope, height_slope), *beam)
 
     def size_mm(self, z_mm: float) -> tuple[float, float]:
-        """Return width and height at a plane z, in mm; at infinity inf, unless the entrance pupil is there too."""
+        """Return width and height at a plane z; inf at infinity, unless the entrance pupil is there too."""
         width, height = (_on(*edge, z_mm) for edge in zip(self.at_vertex_mm, self.slope, strict=True))
         return width, height
 
     def beam_mm(self, z_mm: float) -> float:
-        """Return the diameter, at a plane z, of the beam that meets a point of array or sensor, in mm."""
+        """Return the diameter at a plane z of the beam to a point of the array or sensor."""
         return _on(self.beam_at_vertex_mm, self.beam_slope, z_mm)
 
     @property
     def angles_deg(self) -> tuple[float, float]:
-        """Full angles of view of far objects, horizontal and vertical, in degrees."""
+        """Full angles of view for distant objects, horizontal and vertical, in degrees."""
         width, height = (math.degrees(2.0 * math.atan(0.5 * abs(slope))) for slope in self.slope)
         return width, height
 

@@ -1,15 +1,14 @@
 """The focused plenoptic camera (2.0) by first-order optics: planes in focus, virtual depth, covering, resolution.
 
-Its lenslets image the main lens's image, a before them, instead of the lens's pupil onto the sensor, d behind them:
+Its lenslets do not image the pupil onto the sensor, d behind them, but the main lens's image, a before them:
 1/a + 1/d = 1/f. In the Keplerian arrangement that image is real and lies before the lenslets; in the Galilean one it
-would lie behind them, and a is negative. The virtual depth v = a/d is how often smaller a lenslet images the main
-image, and how often more coarsely it is sampled than by pixels (T. Georgiev, A. Lumsdaine, "Focused plenoptic camera
-and rendering", J. Electronic Imaging 19 (2010) 021106; C. Perwass, L. Wietzke, "Single lens 3D-camera with extended
-depth-of-field", Proc. SPIE 8291 (2012) 829108).
+would lie behind them, and a is negative. A lenslet reduces the main image by the virtual depth v = a/d and samples it v
+times more coarsely than pixels would (T. Georgiev, A. Lumsdaine, "Focused plenoptic camera and rendering", J.
+Electronic Imaging 19 (2010) 021106; C. Perwass, L. Wietzke, "Single lens 3D-camera with extended depth-of-field", Proc.
+SPIE 8291 (2012) 829108).
 
-With N pixels a lenslet, the blur of a point of virtual depth v' is N |1/v − 1/v'| pixels wide: the depth range of a
-lenslet ends where that is one pixel. A point of the main image lights what its cone from the exit pupil covers of the
-lenslets: on the total covering plane and beyond, that holds a lenslet of each type wherever the point lies.
+With N pixels per lenslet, a point of virtual depth v' is blurred by N |1/v − 1/v'| pixels; the depth range ends at one
+pixel. From the total covering plane on, the light cone of every main image point covers a lenslet of each type.
 """
 
 import math
@@ -24,7 +23,7 @@ from lfmesh.scene.first_order.lenslets import lenslet_to_sensor_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 
 FOCUSED_BLUR_PX = 1.0
-"""Lenslets that blur the image of a distant pupil by more image the main image, not the pupil."""
+"""Blur of a distant pupil's image above which lenslets are taken to image the main image instead."""
 
 COVERING = {
     ("square", 1): math.sqrt(0.5),
@@ -34,7 +33,7 @@ COVERING = {
     ("hexagonal", 2): 1.0,
     ("hexagonal", 3): 1.0,
 }
-"""Farthest that a point lies from the nearest lenslet of a type, in pitches, by layout and number of types."""
+"""Largest distance of a point from the nearest lenslet of a type, in pitches, by layout and number of types."""
 
 
 @dataclass(frozen=True)
@@ -43,27 +42,27 @@ class FocusedLenslets:
 
     focal_length_mm: float
     to_sensor_mm: float
-    """From the lenslet to the sensor, as in air."""
+    """Distance from the lenslet to the sensor, as in air."""
     main_image_mm: float
-    """Distance before the lenslets of the plane that they image onto the sensor; negative behind them."""
+    """Distance before the lenslets of the plane imaged onto the sensor; negative behind them."""
     virtual_depth: float
-    """The same over the distance from lenslet to sensor, with its sign. Its modulus is how often smaller a lenslet
-    images; lenslets resolve one over it of what the sensor's pixels would."""
+    """`main_image_mm` over `to_sensor_mm`, with its sign. Its modulus is the reduction of the image, and the factor by
+    which the sampling is coarser than the sensor's."""
     in_focus_mm: float
-    """Object distance of that plane."""
+    """Object distance of the plane in focus."""
     near_mm: float
-    """Nearest object distance that they blur by a pixel at most."""
+    """Nearest object distance with a blur of at most one pixel."""
     far_mm: float
-    """The farthest one; inf where it reaches infinity."""
+    """Farthest such distance; may be inf."""
     covering_depth: float
-    """Virtual depth, without sign, from which on every point is seen by a lenslet of this type."""
+    """Smallest virtual depth, unsigned, with every point seen by a lenslet of this type."""
     covering_mm: float
-    """Object distance of the plane of this virtual depth, the total covering plane. All farther ones are covered in the
-    Keplerian arrangement, all nearer ones in the Galilean. inf where it lies at infinity or beyond."""
+    """Object distance of the total covering plane, which has this virtual depth. All farther planes are covered in the
+    Keplerian arrangement, all nearer ones in the Galilean. inf if it lies at infinity or beyond."""
     seen_by: float
-    """Lenslets of this type that see a point in focus, on average."""
+    """Average number of lenslets of this type that see a point in focus."""
     sampling_mm: float
-    """Size of a pixel on the plane in focus, through a lenslet: the lateral resolution of rendered pictures."""
+    """Size of a pixel on the plane in focus, through a lenslet: lateral resolution of rendered pictures."""
 
 
 Type = TypeVar("Type", LensletOptics, FocusedLenslets)
@@ -72,9 +71,9 @@ Type = TypeVar("Type", LensletOptics, FocusedLenslets)
 def focused_lenslets(
     camera: Camera, wavelength_nm: float, lens: Paraxial, cone: float, per_pupil: float
 ) -> tuple[FocusedLenslets, ...]:
-    """Return the lenslets of a focused plenoptic camera by type; nothing of another camera.
+    """Return the lenslet types of a focused plenoptic camera; empty for other cameras.
 
-    A multi-focus camera is focused where the lenslets of its middle focal length are.
+    The lenslets of the middle focal length define the focus of a multi-focus camera.
 
     Parameters
     ----------
@@ -82,7 +81,7 @@ def focused_lenslets(
         Solved.
     wavelength_nm : float
     lens : Paraxial
-        The camera's, at this wavelength.
+        The camera's lens at this wavelength.
     cone : float
         Diameter of the exit pupil over its distance from the lenslets.
     per_pupil : float, 1/mm
@@ -100,9 +99,9 @@ def focused_lenslets(
 
 
 def sensor_over_focal_length(camera: Camera, wavelength_nm: float) -> float | None:
-    """Return the distance of the sensor behind the lenslets, those of the middle focal length, over that.
+    """Return the sensor's distance behind the lenslets over their (middle) focal length, or None.
 
-    None without lenslets, or where these are cylinders.
+    None without lenslets and for cylinders.
 
     Parameters
     ----------
@@ -118,7 +117,7 @@ def sensor_over_focal_length(camera: Camera, wavelength_nm: float) -> float | No
 
 
 def _per_depth(camera: Camera, wavelength_nm: float, at: LensletOptics) -> float:
-    """Return 1/v = d/f − 1; 0 of lenslets that image a pupil at infinity."""
+    """Return 1/v = d/f − 1; 0 for lenslets that image a pupil at infinity."""
     return lenslet_to_sensor_mm(camera, wavelength_nm, at) * at.power_per_mm - 1.0
 
 
@@ -135,9 +134,9 @@ def _of_type(
     focus = lens.object_mm(plane - main_image) if math.isfinite(main_image) else -lens.ffl_mm
     focus = focus if focus > 0.0 else math.inf
     sharp = FOCUSED_BLUR_PX * sensor.pixel_mm / mla.pitch_mm
-    # As 1/v falls, planes lie farther off.
+    # Planes lie farther away as 1/v falls.
     near, far = depths.between_mm(per_depth - sharp, per_depth + sharp)
-    # What a lenslet sees of the main image's cone: at most its own pitch wide.
+    # A lenslet sees at most its own pitch of the main image's cone.
     cone = min(pupil[0], mla.pitch_mm / to_sensor)
     apart = 2.0 * COVERING[mla.layout, mla.types] * mla.pitch_mm
     covering = quotient(apart, cone + apart * math.copysign(1.0, per_depth) * pupil[1]) / to_sensor
@@ -156,11 +155,11 @@ def _of_type(
         covering_depth=covering,
         covering_mm=covered if (covered > focus if is_farther else 0.0 < covered < focus) else math.inf,
         seen_by=math.pi / 4.0 * wide**2 / cell / mla.types,
-        # The size of the object over that of its image, times the virtual depth.
+        # Object size over image size, times the virtual depth.
         sampling_mm=quotient(sensor.pixel_mm, abs(depths.r + depths.s * per_depth)),
     )
 
 
 def middle_of(types: Sequence[Type]) -> Type:
-    """Return the type of the middle focal length, by which a multi-focus camera is said to be in focus."""
+    """Return the type of the middle focal length, which defines the camera's focus."""
     return sorted(types, key=lambda at: at.focal_length_mm)[len(types) // 2]

@@ -1,16 +1,18 @@
 """Error of pictures of extended light, with and without the diffraction of lenslets.
 
-Errors are sums of absolute differences from scalar waves over the light, on pixels, of a lens with a round pupil at
-infinity. White pictures are those of a wide array, and computed: the waves of each point of the pupil behind lenslets
-without end are a Fourier series over the lattice, in closed form of squares, and of hexagons in whose focal plane the
-sensor stands. There waves of neighbours leave no trace, and the series is the lenslet's own transfer function. White
-pictures behind other hexagons, and edges in focus behind the three nearest square lenslets, as the mean of an edge
-through a lenslet's middle and one between two lenslets, have tables, for pixels of about a tenth of the pitch and
-micro-images about 0.9 pitches wide. The tests of this module compute the tables by Fresnel integrals. Edges behind
-hexagons are not known.
+The reference is scalar wave optics, for a lens with a round pupil at infinity. Errors are sums over pixels of absolute
+differences from it, relative to the light.
 
-All of these are of thin lenslets. Rays take the aberrations of true faces geometrically, and the kick does not know
-them: `lenslet_waves` computes the error of white pictures that they bring.
+- White pictures of a wide array are computed for square lenslets, and for hexagonal ones with the sensor in their focal
+  plane. Behind an unbounded array, the waves of a pupil point are a Fourier series over the lattice, in closed form.
+  For the hexagons it is the lenslet's own transfer function: waves of neighbours leave no trace.
+- White pictures behind other hexagons, and edges in focus behind the three nearest square lenslets (mean of an edge
+  through a lenslet's centre and one between lenslets), are tabulated. The tables, which the tests compute by Fresnel
+  integrals, are for pixels of about a tenth of the pitch and micro-images about 0.9 pitches wide.
+- Edges behind hexagons are unknown.
+
+All lenslets are thin. Rays include the aberrations of true faces geometrically; the kick ignores them. `lenslet_waves`
+computes the resulting error of white pictures.
 """
 
 import math
@@ -23,36 +25,36 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 WIDTH, PIXELS = 0.9, 10
-"""Of the tables: width of micro-images in pitches, and pixels along a pitch."""
+"""Parameters of the tables: width of micro-images in pitches, and pixels per pitch."""
 
 LIKE_WIDTH, LIKE_PIXELS = 0.05, 2
-"""Differences from these within which the tables stand for a camera: at a width of 1, errors without diffraction are
-half as large, with pixels of a fifteenth up to half larger."""
+"""Differences from these within which the tables represent a camera. At a width of 1, errors without diffraction are
+half as large; with pixels of a fifteenth of the pitch they are up to half larger."""
 
 LIKE_WIDTH_WITH = 0.11
 """The same for edges with diffraction, which change by a quarter at most, and hardly with smaller pixels."""
 
 FOCAL_PLANE = 0.02
-"""Distance of the sensor from the focal plane, over the focal length, within which it stands there."""
+"""Distance from the focal plane, over the focal length, within which the sensor counts as in it."""
 
 ACROSS_A_PIXEL, HEXAGON_ORDERS = 5, 2.4
-"""Of hexagons: places compared, and longest wave of the series, for each pixel along a pitch."""
+"""For hexagons: points compared, and longest wave of the series, per pixel along a pitch."""
 
 MOST_PIXELS = 20
-"""Along a pitch; finer ones are put together."""
+"""Maximum number of pixels along a pitch; finer ones are binned."""
 
 ORDERS_A_PIXEL, LEAST_ORDERS = 20, 100
-"""Waves of the series for each pixel along a pitch, and the least: those beyond change errors by less than 10⁻⁴."""
+"""Waves of the series per pixel along a pitch, and their minimum: further ones change errors by less than 10⁻⁴."""
 
 FRESNEL_NUMBERS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-"""Square of half a lenslet's width, over wavelength and distance from the sensor."""
+"""Square of half a lenslet's width, over the wavelength times the distance from the sensor."""
 
 DISTANCES = (0.7, 0.85, 1.0, 1.2, 1.4)
-"""Of the sensor behind the lenslets, over their focal length."""
+"""Distances of the sensor behind the lenslets, over their focal length."""
 
 EDGE_WITHOUT = (0.5145, 0.2984, 0.1603, 0.0802, 0.0550, 0.0422)
 EDGE_WITH = (0.0815, 0.0573, 0.0384, 0.0236, 0.0139, 0.0082)
-"""Of edges in focus, by the Fresnel number, with the sensor in the lenslets' focal plane."""
+"""Errors of edges in focus, by Fresnel number, with the sensor in the lenslets' focal plane."""
 
 HEXAGONS_WITHOUT = (
     (0.2323, 0.1204, 0.0663, 0.0379, 0.0193, 0.0097),
@@ -68,19 +70,19 @@ HEXAGONS_WITH = (
     (0.0179, 0.0334, 0.0410, 0.0306, 0.0179, 0.0095),
     (0.0427, 0.0778, 0.0694, 0.0377, 0.0197, 0.0101),
 )
-"""Of white pictures behind hexagons, by distance and Fresnel number."""
+"""Errors of white pictures behind hexagons, by distance and Fresnel number."""
 
 
 class KickError(NamedTuple):
-    """Errors of pictures of extended light, over the light, without diffraction and with that of the lenslets.
+    """Relative errors of pictures of extended light, with and without the lenslets' diffraction.
 
     Attributes
     ----------
     white_without, white_with : float
     edge_without, edge_with : float or None
-        None where edges in focus are not behind lenslets in focus, of hexagons, and of cameras unlike the tables'.
+        None for hexagons, lenslets out of focus, and cameras unlike the tables'.
     true_faces : bool
-        `white_with` is computed behind the camera's own lenslets, not behind thin ones.
+        True if `white_with` is for the camera's own lenslets rather than thin ones.
     """
 
     white_without: float
@@ -91,7 +93,7 @@ class KickError(NamedTuple):
 
     @property
     def lenslets_in_words(self) -> str:
-        """The lenslets for which `white_with` holds."""
+        """Kind of lenslets that `white_with` applies to."""
         return "behind the true faces" if self.true_faces else "behind thin lenslets and more behind true faces"
 
 
@@ -99,22 +101,22 @@ def kick_error(
     fresnel_number: float, distance: float = 1.0, *, layout: str = "square", in_focus: bool = True,
     width: float = WIDTH, pixels: int = PIXELS,
 ) -> KickError | None:  # fmt: skip
-    """Return the errors of a camera's pictures; None of hexagons that are unlike those of the tables.
+    """Return the errors of a camera's pictures, or None for hexagons not covered by the tables.
 
     Parameters
     ----------
     fresnel_number : float
-        Square of half a lenslet's width, over wavelength and distance from the sensor.
+        Square of half a lenslet's width, over the wavelength times the distance from the sensor.
     distance : float
-        Of the sensor behind the lenslets, over their focal length.
+        Distance of the sensor behind the lenslets, over their focal length.
     layout : str
-        Of the lenslets, "square" or "hexagonal".
+        "square" or "hexagonal".
     in_focus : bool
-        The lenslets image the pupil, sharp to a pixel: the errors of edges may be known.
+        True if the lenslets image the pupil sharply to a pixel, as the errors of edges require.
     width : float
-        Of micro-images, in pitches.
+        Width of micro-images, in pitches.
     pixels : int
-        Along a pitch.
+        Pixels along a pitch.
     """
     within = FRESNEL_NUMBERS[0] <= fresnel_number <= FRESNEL_NUMBERS[-1]
     known = within and abs(width - WIDTH) <= LIKE_WIDTH and abs(pixels - PIXELS) <= LIKE_PIXELS
@@ -138,8 +140,8 @@ def kick_error(
 
 
 def _by_number(errors: tuple[float, ...], number: float) -> float:
-    """Return an error of a table at a Fresnel number."""
-    # Errors fall about as the inverse of the number.
+    """Interpolate an error of a table at a Fresnel number."""
+    # Errors are roughly inversely proportional to the number.
     return float(np.interp(np.log(number), np.log(FRESNEL_NUMBERS), np.multiply(errors, FRESNEL_NUMBERS))) / number
 
 
@@ -150,7 +152,7 @@ def white_errors(fresnel_number: float, distance: float, width: float, pixels: i
     Parameters
     ----------
     fresnel_number, distance, width, pixels
-        As for `kick_error`.
+        As in `kick_error`.
     """
     pixels = min(pixels, MOST_PIXELS)
     most = max(ORDERS_A_PIXEL * pixels, LEAST_ORDERS)
@@ -165,17 +167,17 @@ def white_errors(fresnel_number: float, distance: float, width: float, pixels: i
 
 
 def passed(order: int, fresnel_number: float, distance: float) -> complex:
-    """Return a coefficient of the series of the light of a plane wave along the axis, behind lenslets T without end.
+    """Return a Fourier coefficient of the light of an axial plane wave behind an unbounded array of lenslets T.
 
-    With δ = order / 4F, in pitches, it is exp(iπ order δ) ∫ T(x − δ) T*(x) exp(−2πi order x) dx over a pitch, by the
-    convolution of T with Fresnel's kernel. In each lenslet that x − δ is in, the integrand is a wave. A wave that comes
-    aslant has the same coefficients, of a picture that is shifted.
+    With δ = order / 4F, in pitches, it is exp(iπ order δ) ∫ T(x − δ) T*(x) exp(−2πi order x) dx over a pitch, by
+    convolution with Fresnel's kernel. Within each lenslet that contains x − δ, the integrand is a wave. Oblique waves
+    have the same coefficients but shifted pictures.
 
     Parameters
     ----------
     order : int
     fresnel_number, distance
-        As for `kick_error`.
+        As in `kick_error`.
     """
     total, shift = 0j, order / (4.0 * fresnel_number)
     for lenslet in range(math.floor(-shift), math.floor(1.0 - shift) + 1):
@@ -189,14 +191,14 @@ def passed(order: int, fresnel_number: float, distance: float) -> complex:
 
 
 def white_picture(coefficients: NDArray[np.complex128] | Array, width: float, pixels: int) -> Array:
-    """Return the light on a lenslet's pixels, (n, n), by the coefficients in each axis of a picture of a point.
+    """Return the light on a lenslet's pixels, (n, n), from the coefficients of a point's picture in each axis.
 
     Parameters
     ----------
     coefficients : (2 m + 1,) complex128
-        Of the orders from −m to m.
+        Orders from −m to m.
     width, pixels
-        As for `kick_error`.
+        As in `kick_error`.
     """
     most = len(coefficients) // 2
     orders = np.arange(-most, most + 1)
@@ -207,8 +209,8 @@ def white_picture(coefficients: NDArray[np.complex128] | Array, width: float, pi
 
 
 def _of_disk(width: float, frequency: Array) -> Array:
-    """Return Fourier coefficients of an evenly lit disk, over its light."""
-    # A scene is read without scipy.
+    """Return the Fourier coefficients of an evenly lit disk, relative to its light."""
+    # Reading a scene must not import scipy.
     from scipy.special import j1
 
     x = np.pi * width * frequency
@@ -217,18 +219,18 @@ def _of_disk(width: float, frequency: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def hexagon_error(fresnel_number: float, width: float, pixels: int) -> float:
-    """Return the error of white pictures without diffraction, behind hexagons in whose focal plane the sensor stands.
+    """Return the error of white pictures without diffraction behind hexagons, with the sensor in their focal plane.
 
     Parameters
     ----------
     fresnel_number, width, pixels
-        As for `kick_error`.
+        As in `kick_error`.
     """
     pixels = min(pixels, MOST_PIXELS)
     longest, across = HEXAGON_ORDERS * pixels, ACROSS_A_PIXEL * pixels
     reach = math.ceil(longest)
     numbers = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2)
-    # Frequencies of a lattice of pitch 1, whose second row is half a pitch aside.
+    # Frequencies of a lattice of pitch 1 with every second row shifted by half a pitch.
     orders = np.stack([numbers[:, 0], (2.0 * numbers[:, 1] - numbers[:, 0]) / math.sqrt(3.0)], axis=1)
     inside = np.hypot(*orders.T) <= longest
     numbers, orders = numbers[inside], orders[inside]
@@ -244,14 +246,14 @@ def hexagon_error(fresnel_number: float, width: float, pixels: int) -> float:
 
 
 def hexagons_in_common(shift: Array) -> Array:
-    """Return the share of a hexagon's area that it has in common with itself, shifted.
+    """Return the overlap of a hexagon and its shifted copy, as a fraction of its area.
 
-    What they have in common is a hexagon of the same angles: a rhomboid of its two narrower widths, less two corners.
+    The overlap is a hexagon with the same angles: a rhomboid of its two narrower widths, minus two corners.
 
     Parameters
     ----------
     shift : (n, 2) float64
-        Over the distance of opposite sides, one pair of which is square to x.
+        In units of the distance between opposite sides; one pair is perpendicular to x.
     """
     angles = np.arange(3) * np.pi / 3.0
     along = shift @ np.stack([np.cos(angles), np.sin(angles)])

@@ -1,14 +1,14 @@
-"""Error of white pictures with the kick of lenslets, computed from waves and rays behind their true faces.
+"""Error of white pictures with the kick of lenslets, from waves and rays behind their true faces.
 
-A plane wave of each direction in the lens's cone meets an array without end. Kirchhoff's integral over the curved face
-of one lenslet gives its diffraction orders, which go on through plates to the sensor: two-dimensional scalar optics
+A plane wave of each direction in the lens's cone meets an unbounded array. Kirchhoff's integral over the curved face of
+one lenslet gives its diffraction orders, which propagate through plates to the sensor: two-dimensional scalar optics,
 without approximations for thin, slow or sharp lenslets. Rays of the same direction are traced through the same faces
-and blurred by the kick, as the renderer turns them. Both pictures are Fourier series over the lattice. Their sums over
-the cone are the white pictures that are compared, pixel by pixel.
+and blurred by the kick, as in the renderer. Both pictures are Fourier series over the lattice. Their sums over the cone
+are white pictures, compared pixel by pixel.
 
-Three steps keep this cheap. The depth z of the face enters by the phase (kz − kz₀)(z − z₀). Its exponential is a Taylor
-series, each term of which is a product of matrices. But for a shift, a picture changes slowly with the direction: it is
-computed for a few directions and interpolated. Mirrored directions have mirrored pictures.
+For speed, the exponential of the face's phase (kz − kz₀)(z − z₀) at the depth z is a Taylor series of matrix products.
+Apart from a shift, a picture changes slowly with the direction and is interpolated between a few. Mirrored directions
+have mirrored pictures.
 """
 
 import math
@@ -29,35 +29,35 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 MOST_FRESNEL = 16.0
-"""Fresnel number up to which errors are computed: time grows as its square."""
+"""Largest Fresnel number for which errors are computed: time grows as its square."""
 
 MOST_CONE = 0.5
-"""Sine of half the angle of the lens's cone up to which errors are computed."""
+"""Largest sine of the half angle of the lens's cone for which errors are computed."""
 
 LEAST_ORDERS, ORDERS_A_NUMBER = 8, 2.5
-"""Diffraction orders to each side that hold a lenslet's waves: of rims, and for each unit of the Fresnel number."""
+"""Diffraction orders to each side that contain a lenslet's waves: for its rims, and per unit of the Fresnel number."""
 
 BEYOND_BAND, WAVES_A_PIXEL = 6, 2.2
-"""Waves of a picture beyond the aperture's limit of 4 F along a pitch, and the most for each pixel."""
+"""Waves of a picture beyond the aperture's limit of 4 F along a pitch, and their maximum per pixel."""
 
 NODES = 0.0, 0.62, 1.0
-"""Directions from the axis to the rim of the cone between which pictures are interpolated."""
+"""Directions, from the axis to the rim of the cone, at which pictures are computed for interpolation."""
 
 ACROSS_CONE, PARTS = 48, 4
-"""Cells across the cone of light, and parts of a cell's side that find its share within the circle."""
+"""Cells across the cone of light, and subdivisions of a cell's side that give its fraction within the circle."""
 
 SMALL = 1 << 15
-"""Multiplications of a block of a product; see `_product`."""
+"""Multiplications per block of a product; see `_product`."""
 
 TAYLOR = 1e-4
-"""First term of the series of phases that is left out."""
+"""Largest neglected term of the phase series."""
 
 STEP = 1e-4
-"""Change of direction by which the motion of a ray's landing point is found."""
+"""Finite-difference step in direction for the motion of a ray's landing point."""
 
 
 class Lenslet(NamedTuple):
-    """One lenslet of revolution on one face of a plate, with all that follows up to the sensor.
+    """A lenslet of revolution on one face of a plate, and the layers between it and the sensor.
 
     Attributes
     ----------
@@ -65,12 +65,12 @@ class Lenslet(NamedTuple):
     layout : str
         "square" or "hexagonal".
     radius_mm, conic, terms : float, float, (n,) tuple
-        Of the face, positive into the glass; see `sag_mm`.
+        Shape of the face, positive into the glass; see `sag_mm`.
     side : str
-        To which the curved face looks, "lens" or "sensor".
+        Side of the curved face, "lens" or "sensor".
     plate_index : float
     layers : tuple of (float, float)
-        Thickness in mm and index of what follows the apex, as far as the sensor.
+        Thickness in mm and index of each layer from the apex to the sensor.
     wavelength_mm : float
     """
 
@@ -86,17 +86,17 @@ class Lenslet(NamedTuple):
 
     @property
     def distance_mm(self) -> float:
-        """From the lenslet to the sensor, as in air."""
+        """Distance from the lenslet to the sensor, as in air."""
         return sum(thickness / index for thickness, index in self.layers)
 
     @property
     def fresnel_number(self) -> float:
-        """Square of half the pitch, over wavelength and distance."""
+        """Square of half the pitch, over the wavelength times the distance."""
         return self.pitch_mm**2 / (4.0 * self.wavelength_mm * self.distance_mm)
 
     @property
     def ratio(self) -> float:
-        """Period along y over that along x; of hexagons it is that of two rows."""
+        """Period along y over the period along x; for hexagons, two rows make a period."""
         return math.sqrt(3.0) if self.layout == "hexagonal" else 1.0
 
     @property
@@ -106,12 +106,12 @@ class Lenslet(NamedTuple):
 
     @property
     def indices(self) -> tuple[float, float]:
-        """Before and behind the curved face."""
+        """Indices before and behind the curved face."""
         return (1.0, self.plate_index) if self.side == "lens" else (self.plate_index, 1.0)
 
 
 class Orders(NamedTuple):
-    """Orders of a lattice from −m to m in each axis; of hexagons every second one is none.
+    """Orders of a lattice from −m to m in each axis; for hexagons every second one is absent.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Orders(NamedTuple):
 
     @classmethod
     def of(cls, lenslet: Lenslet, most: int) -> "Orders":
-        """Return the orders up to one along x, and as far along y."""
+        """Return the orders up to a maximum along x, and as far along y."""
         far = math.ceil(most * lenslet.ratio)
         x, y = np.arange(-most, most + 1), np.arange(-far, far + 1)
         even = (x[:, None] + y) % 2 == 0
@@ -133,7 +133,7 @@ class Orders(NamedTuple):
 
 
 class Face:
-    """Points of the curved face of a lenslet for integrals over its cell, row by row, in mm."""
+    """Quadrature points of a lenslet's curved face over its cell, row by row, in mm."""
 
     def __init__(self, lenslet: Lenslet, count: int) -> None:
         self.lenslet = lenslet
@@ -149,7 +149,7 @@ class Face:
         sense = 1.0 if lenslet.side == "lens" else -1.0
         self.z = sense * depth
         self.square = np.stack([-sense * bend * self.x, -sense * bend * self.y, np.ones_like(depth)])
-        """Normals, over their z."""
+        """Normals, divided by their z component."""
         self.slant = np.sqrt((self.square**2).sum(axis=0))
 
     def refracted(self, s: tuple[float, float]) -> tuple[Array, Array, Array, Array]:
@@ -158,9 +158,9 @@ class Face:
         Returns
         -------
         into, onto : (3, 1, 1), (n, n) float64
-            Unit direction before the face, and its cosine to the normal.
+            Unit direction before the face, and its cosine with the normal.
         out, off : (3, n, n), (n, n) float64
-            The same behind it; off is 0 where light is reflected totally.
+            The same behind the face; off is 0 on total reflection.
         """
         before, behind = self.lenslet.indices
         into = np.array([s[0] / before, s[1] / before, math.sqrt(1.0 - (s[0] ** 2 + s[1] ** 2) / before**2)])
@@ -170,7 +170,7 @@ class Face:
         return into, onto, ratio * into + (off - ratio * onto) * normal, off
 
     def landing(self, s: tuple[float, float], kick: tuple[float, float] = (0.0, 0.0)) -> Array:
-        """Return where rays of direction cosines s fall on the sensor, (2, n, n), kicked in air at the face."""
+        """Return the sensor points (2, n, n) of rays with direction cosines s, kicked in air at the face."""
         kicked_after = self.lenslet.side == "sensor"
         _, _, out, _ = self.refracted(s if kicked_after else (s[0] + kick[0], s[1] + kick[1]))
         cosines = self.lenslet.indices[1] * out[:2]
@@ -180,7 +180,7 @@ class Face:
 
 
 def _rows(lenslet: Lenslet, count: int) -> tuple[Array, Array, Array]:
-    """Return y, weight and half the length of the rows of a cell's points: Gauss's rule between corners."""
+    """Return y, weight and half length of each row of a cell's points: Gauss's rule between corners."""
     if lenslet.layout == "square":
         nodes, weights = leggauss(count)
         half = 0.5 * lenslet.pitch_mm
@@ -193,16 +193,16 @@ def _rows(lenslet: Lenslet, count: int) -> tuple[Array, Array, Array]:
 
 
 def _way(lenslet: Lenslet, cosines: Array, z: Array | float = 0.0) -> Array:
-    """Return the shift at the sensor of rays from a depth z, over their direction cosines as in air."""
+    """Return the shift at the sensor of rays from a depth z, divided by their direction cosines as in air."""
     transverse, way = (cosines**2).sum(axis=0), 0.0
     for thickness, index in lenslet.layers:
-        # A ray that is reflected totally has no light; see `ray_series`.
+        # A totally reflected ray carries no light; see `ray_series`.
         way, z = way + (thickness - z) / np.sqrt(np.maximum(index * index - transverse, STEP)), 0.0
     return np.asarray(way)
 
 
 class Light:
-    """Pictures of plane waves behind an array, by waves and by rays, as Fourier series from the vertex's ray on."""
+    """Pictures of plane waves behind an array, by waves and by rays, as Fourier series about the vertex ray."""
 
     def __init__(self, lenslet: Lenslet, pixels: int) -> None:
         number = lenslet.fresnel_number
@@ -217,7 +217,7 @@ class Light:
         self._across = np.exp(-1j * self.turn[1] * np.outer(self.orders.y, y))
 
     def of(self, s: tuple[float, float]) -> Complex:
-        """Return the series of waves and of kicked rays of direction cosines s, (2, n_x, n_y)."""
+        """Return the series of waves and of kicked rays for direction cosines s, (2, n_x, n_y)."""
         chief = np.array(s) * self.lenslet.distance_mm
         phases = [turn * at * q for turn, at, q in zip(self.turn, chief, (self.waves.x, self.waves.y), strict=True)]
         moved = np.exp(1j * np.add.outer(*phases))
@@ -226,7 +226,7 @@ class Light:
         return np.asarray(pair * moved / middle[:, None, None])
 
     def wave_series(self, s: tuple[float, float]) -> Complex:
-        """Return the power spectrum of the field on the sensor, which Kirchhoff's integral gives order by order."""
+        """Return the power spectrum of the field on the sensor, from Kirchhoff's integral for each order."""
         face, lenslet, k = self.face, self.lenslet, 2.0 * math.pi / self.lenslet.wavelength_mm
         before, behind = lenslet.indices
         into, onto, _, off = face.refracted(s)
@@ -235,7 +235,7 @@ class Light:
         lit = self.orders.exist & (transverse < k * k * min(index for _, index in lenslet.layers) ** 2)
         kz = np.sqrt(np.where(lit, (behind * k) ** 2 - transverse, (behind * k) ** 2))
         middle_k, middle_z = 0.5 * (kz.max() + kz.min()), 0.5 * (face.z.max() + face.z.min())
-        # Flow through the face is that of the wave before it; the wave behind has that power in its own direction.
+        # The flow through the face is that of the wave before it; the wave behind carries it in its own direction.
         source = face.area * face.slant * np.sqrt(onto * off)
         phase = before * k * (into[0] * face.x + into[1] * face.y + into[2] * face.z)
         source = source * np.exp(1j * (phase - k * s[0] * face.x - k * s[1] * face.y - middle_k * face.z))
@@ -252,7 +252,7 @@ class Light:
         return self._power_spectrum(wave)
 
     def _power_spectrum(self, wave: Complex) -> Complex:
-        """Return the series of a field's power over the lattice, by its orders."""
+        """Return the series of a field's power over the lattice, from its orders."""
         sizes = [2 * len(orders) for orders in (self.orders.x, self.orders.y)]
         field = np.zeros(sizes, np.complex128)
         field[: wave.shape[0], : wave.shape[1]] = wave
@@ -262,7 +262,7 @@ class Light:
         return np.asarray(series[np.ix_(*known)])
 
     def ray_series(self, s: tuple[float, float]) -> Complex:
-        """Return the series of traced rays, times the kick's transfer function, by their mean response to kicks."""
+        """Return the series of traced rays, times the kick's transfer function for their mean response to kicks."""
         face, (x, y, exist) = self.for_rays, self.waves
         into, onto, _, off = face.refracted(s)
         flow = np.where(off > 0.0, onto * face.slant / into[2] * face.area, 0.0)
@@ -280,23 +280,23 @@ class Light:
 
 
 def _product(a: Array | Complex, b: Array | Complex) -> Complex:
-    """Return the product of stacks of matrices, in blocks of rows that numpy's library does not share among threads.
+    """Multiply stacks of matrices, in blocks of rows too small for numpy's library to distribute over threads.
 
-    On a busy machine, threads that wait for each other take a hundred times as long as such a block.
+    On a busy machine, threads that wait for each other take a hundred times as long.
     """
-    # Not single rows, which another routine of the library takes.
+    # At least two rows, as the library uses another routine for single ones.
     rows = max(2, SMALL // (b.shape[-2] * b.shape[-1]))
     parts = np.array_split(a, max(1, a.shape[-2] // rows), axis=-2)
     return np.concatenate([part @ b for part in parts], axis=-2)
 
 
 def _powers(base: Complex, most: int) -> Complex:
-    """Return the powers of numbers from 0 on, along the first axis."""
+    """Return the powers of numbers from 0 up, along the first axis."""
     return np.multiply.accumulate(np.stack([np.ones_like(base), *[base] * most]), axis=0)
 
 
 def _terms(largest: float) -> int:
-    """Return how many terms of the exponential series are summed."""
+    """Return the number of terms to sum of the exponential series."""
     term, number = 1.0, 0
     while term > TAYLOR:
         number += 1
@@ -305,16 +305,16 @@ def _terms(largest: float) -> int:
 
 
 def _in_common(layout: str, shift: Array) -> Array:
-    """Return the share of an aperture's area that it has in common with itself, shifted by (2, n, n) pitches."""
+    """Return the overlap of an aperture and its copy shifted by (2, n, n) pitches, as a fraction of its area."""
     if layout == "hexagonal":
         return hexagons_in_common(shift.reshape(2, -1).T).reshape(shift.shape[1:])
     return np.asarray(np.clip(1.0 - np.abs(shift), 0.0, None).prod(axis=0))
 
 
 def error_on_true_faces(camera: Camera, wavelength_nm: float, f_number: float) -> float | None:
-    """Return the error of white pictures of a camera with its lenslets' diffraction, the mean of their types.
+    """Return the error of a camera's white pictures with lenslet diffraction, averaged over the lenslet types.
 
-    None of cylinders, clear apertures and two curved faces, and beyond `MOST_FRESNEL` and `MOST_CONE`.
+    None for cylinders, clear apertures, two curved faces, and beyond `MOST_FRESNEL` or `MOST_CONE`.
 
     Parameters
     ----------
@@ -322,7 +322,7 @@ def error_on_true_faces(camera: Camera, wavelength_nm: float, f_number: float) -
         Solved.
     wavelength_nm : float
     f_number : float
-        Of the cone of light that meets at a lenslet.
+        F-number of the light at a lenslet.
     """
     mla, sensor = camera.mla, camera.sensor
     if mla is None or mla.has_back or mla.cylinder_axis is not None or mla.clear_diameter_mm is not None:
@@ -335,7 +335,7 @@ def error_on_true_faces(camera: Camera, wavelength_nm: float, f_number: float) -
 
 
 def lenslets_of(mla: MicrolensArray, sensor: Sensor, wavelength_nm: float) -> list[Lenslet]:
-    """Return the lenslets of a solved array with one curved face, one of each type.
+    """Return one lenslet of each type of a solved array with one curved face.
 
     Parameters
     ----------
@@ -359,16 +359,16 @@ def lenslets_of(mla: MicrolensArray, sensor: Sensor, wavelength_nm: float) -> li
 
 @lru_cache(maxsize=64)
 def error_with_kick(lenslet: Lenslet, cone: float, pixels: int) -> float:
-    """Return the error of white pictures with the kick, over the light.
+    """Return the error of white pictures with the kick, relative to the light.
 
     Parameters
     ----------
     lenslet : Lenslet
-        Up to `MOST_FRESNEL`.
+        Fresnel number up to `MOST_FRESNEL`.
     cone : float
-        Sine of half the angle of the lens's cone of light.
+        Sine of the half angle of the lens's cone.
     pixels : int
-        Along a pitch.
+        Pixels along a pitch.
     """
     pixels = min(pixels, MOST_PIXELS)
     light = Light(lenslet, pixels)
@@ -381,12 +381,12 @@ def error_with_kick(lenslet: Lenslet, cone: float, pixels: int) -> float:
 
 
 def _summed(light: Light, known: dict[tuple[int, int], Complex], cone: float) -> Complex:
-    """Return the series of the light of the whole cone, by those of directions in a quarter of it."""
+    """Return the series of the light of the whole cone, from directions in one quadrant."""
     nodes = cone * np.array([-NODES[2], -NODES[1], *NODES])
     step = cone * _middles(ACROSS_CONE)
     fine = _middles(ACROSS_CONE * PARTS)
     inside = (np.hypot(fine[:, None], fine) < 1.0).reshape(ACROSS_CONE, PARTS, ACROSS_CONE, PARTS).mean(axis=(1, 3))
-    # Lagrange's polynomials in each axis, times the shift of a direction.
+    # Lagrange polynomials in each axis, times the shift of a direction.
     weights = np.array([np.prod([(step - b) / (a - b) for b in nodes if b != a], axis=0) for a in nodes])
     shifts = [np.exp(-1j * turn * light.lenslet.distance_mm * np.outer(step, q))
               for turn, q in zip(light.turn, (light.waves.x, light.waves.y), strict=True)]  # fmt: skip
@@ -401,7 +401,7 @@ def _summed(light: Light, known: dict[tuple[int, int], Complex], cone: float) ->
 
 
 def _on_pixels(light: Light, series: Complex, pixels: int) -> Array:
-    """Return pictures by their series: of squares on a lenslet's pixels, of hexagons on pixels all over a cell."""
+    """Evaluate pictures from their series: on a lenslet's pixels for squares, all over a cell for hexagons."""
     lenslet, (x, y, _) = light.lenslet, light.waves
     if lenslet.layout == "square":
         places = 0.5 * _middles(pixels), 0.5 * _middles(pixels)
@@ -416,5 +416,5 @@ def _on_pixels(light: Light, series: Complex, pixels: int) -> Array:
 
 
 def _middles(count: int) -> Array:
-    """Return the middles of equal parts of the way from -1 to 1."""
+    """Return the centres of equal parts of the interval from -1 to 1."""
     return (2.0 * np.arange(count) + 1.0) / count - 1.0

@@ -1,4 +1,4 @@
-"""Lenslets in the first-order report: their distance to the sensor, their micro-images, and cylinders by section."""
+"""Lenslets in the first-order report: distance to the sensor, micro-images, and sections."""
 
 import math
 from collections.abc import Iterator
@@ -12,33 +12,33 @@ from lfmesh.scene.first_order.solve import cover_shift_mm, rear_principal_mm
 
 @dataclass(frozen=True)
 class LensletSection:
-    """Lenslets of the first type in one section through their axis."""
+    """First lenslet type in one section through the axis."""
 
     section: str
-    """"x": the section x–z, "y": the section y–z; "": all, of lenslets of revolution."""
+    """"x": the x–z section, "y": the y–z section; "": every section, for lenslets of revolution."""
     focal_length_mm: float
-    """Of both faces of the plate; inf where neither bends rays."""
+    """Focal length of both faces of the plate; inf without power."""
     focus_behind_mm: float
-    """Of collimated light, behind the array's face towards the sensor."""
+    """Distance of the focus of collimated light behind the array's face towards the sensor."""
     f_number: float | None
-    """Distance from the sensor, in air, over the pitch in this section; None where rays are not bent."""
+    """Distance from the sensor, in air, over the pitch in this section; None without power."""
     micro_image_pitch_px: float | None
-    """As those of the report, in this section; None where there is no micro-image."""
+    """As in the report, for this section; None without a micro-image."""
     micro_image_diameter_px: float | None
 
 
 def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float, at: LensletOptics | None = None) -> float:
-    """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, as in air, in mm.
+    """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, as in air.
 
-    The rear principal plane of a plano-convex lenslet lies t/n inside its flat face when light leaves there,
-    and at the apex when it leaves through the curved face; for two curved faces see `lenslet_optics`.
+    The rear principal plane of a plano-convex lenslet lies t/n inside its flat face if light leaves there, else at the
+    apex. For two curved faces see `lenslet_optics`.
 
     Parameters
     ----------
     camera : Camera
     wavelength_nm : float
     at : LensletOptics, optional
-        A type of lenslet, or a section through it; the first type if omitted.
+        A lenslet type, or a section through it. Default: the first type.
     """
     if camera.mla is None or camera.sensor.distance_mm is None:
         return math.nan
@@ -49,7 +49,7 @@ def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float, at: LensletOptics
 def micro_image(
     camera: Camera, wavelength_nm: float, per_pupil: float, f_number: float
 ) -> tuple[float, float, float] | None:
-    """Return microlens f-number, and pitch and diameter of the micro-images in pixels.
+    """Return the microlens f-number, and the pitch and diameter of micro-images in pixels.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def micro_image(
     per_pupil : float, 1/mm
         1 over the distance from the exit pupil to the lenslets; 0 for a telecentric lens.
     f_number : float
-        Of the cone of light that meets at a lenslet.
+        F-number of the light at a lenslet.
     """
     if camera.mla is None:
         return None
@@ -75,7 +75,7 @@ def micro_image(
 def lenslet_sections(
     camera: Camera, wavelength_nm: float, lens: Paraxial, f_number: float
 ) -> Iterator[LensletSection]:  # fmt: skip
-    """Yield the lenslets section by section, where they are cylinders or stand on both faces.
+    """Yield the lenslets section by section, if they are cylinders or on both faces.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def lenslet_sections(
         Solved.
     wavelength_nm : float
     lens : Paraxial
-        The camera's, at this wavelength.
+        The camera's lens at this wavelength.
     f_number : float
-        Of the cone of light that meets at a lenslet.
+        F-number of the light at a lenslet.
     """
     mla, sensor = camera.mla, camera.sensor
     if mla is None or not (len(sections(mla)) > 1 or mla.has_back):

@@ -1,6 +1,6 @@
-"""Real rays in the meridional plane of a lens: how wide its axial beam really is where the paraxial one would be wider.
+"""Real meridional rays of a lens, for the true width of its axial beam.
 
-Plain floats: a scene is judged before anything is built. Bounds prove what single rays cannot.
+Plain floats, as a scene is judged before anything is built; interval bounds add proof.
 """
 
 import math
@@ -15,10 +15,10 @@ from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.first_order.beam_bounds import Beam, followed, widest_mm
 
 STEPS = 50
-"""Of Newton's method towards a surface."""
+"""Maximum number of Newton steps to a surface."""
 
 TRIALS = 60
-"""Rays at most of which the one at the edge of the stop is sought."""
+"""Maximum number of rays in the search for the one at the edge of the stop."""
 
 
 def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: float) -> list[float]:
@@ -27,17 +27,17 @@ def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: fl
     Parameters
     ----------
     lens : Lens
-        Solved, its surfaces all of revolution.
+        Solved, with surfaces of revolution only.
     wavelength_nm : float
     object_mm : float
-        Before the first vertex; inf for light along the axis. Negative: the ray converges to the point behind it.
+        Distance before the first vertex; inf for light parallel to the axis, negative for a converging ray.
     height_mm : float
-        In the plane of the first vertex.
+        Height in the plane of the first vertex.
 
     Returns
     -------
     list of float
-        As many as the ray reaches: it ends where it misses a surface, or is totally reflected.
+        One height per surface reached: the ray ends at a miss or total reflection.
     """
     z, y = 0.0, height_mm
     angle = 0.0 if math.isinf(object_mm) else math.atan2(height_mm, object_mm)
@@ -55,7 +55,7 @@ def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: fl
         if surface.paraxial:
             angle = math.atan(math.tan(angle) - y * surface.thin_lens_power_per_mm)
             continue
-        # The normal is inclined by the angle whose tangent is the slope of the sag, towards the axis.
+        # The normal is inclined towards the axis by the arctangent of the sag's slope.
         normal = -math.atan(_slope(surface, y))
         sine = index / after * math.sin(angle - normal)
         if abs(sine) > 1.0:
@@ -68,29 +68,29 @@ def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: fl
 def beam_mm(
     lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float, clear_mm: Sequence[float] | float = 0.0
 ) -> Beam:
-    """Return how far from the axis the beam that fills the stop meets each surface, no aperture in its way.
+    """Return the largest height at each surface of the beam that fills the stop, ignoring other apertures.
 
-    It ends with the first ray, out from the axis, that meets the edge of the stop. Spherical aberration can carry rays
-    from within the stop farther out than those from its edge.
+    The beam ends with the first ray from the axis that meets the edge of the stop. Spherical aberration can carry inner
+    rays farther out than edge rays.
 
     Parameters
     ----------
     lens, wavelength_nm, object_mm, guess_mm
-        As for `edge_of_stop_mm`.
+        As in `edge_of_stop_mm`.
     clear_mm
-        As for `beam_bounds.widest_mm`.
+        As in `beam_bounds.widest_mm`.
 
     Returns
     -------
     Beam
-        Without heights where no ray reaches the edge of the stop.
+        Without heights if no ray reaches the edge of the stop.
     """
     entry, edge = edge_of_stop_mm(lens, wavelength_nm, object_mm, guess_mm)
     if edge:
         beam, all_pass = widest_mm(lens, wavelength_nm, object_mm, entry, clear_mm)
         if all_pass:
             return beam
-    # Some rays before this one miss the stop: the beam ends at the first of them.
+    # Some rays inside this one miss the stop: the beam ends at the first of them.
     entry = _end_of_beam_mm(lens, wavelength_nm, object_mm, entry)
     heights = heights_mm(lens, wavelength_nm, object_mm, entry)
     if not _meets_edge(lens, heights):
@@ -99,19 +99,19 @@ def beam_mm(
 
 
 def _end_of_beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, most_mm: float) -> float:
-    """Return the height of the first ray that passes the stop's edge or ends before the stop; `most_mm`: there is none.
+    """Return the height of the first ray outside the stop's edge or ending before the stop, or `most_mm` if none.
 
     Parameters
     ----------
     lens, wavelength_nm, object_mm
-        As for `heights_mm`.
+        As in `heights_mm`.
     most_mm : float
-        Height up to which it is looked for.
+        Upper end of the search.
     """
     stop = lens.stop_index or 0
 
     def ranges_of(low: Array, high: Array) -> list[Range]:
-        """Return bounds of the height in the stop, below 0, and of its derivative."""
+        """Return bounds of minus the absolute height in the stop, and of its derivative."""
         zones = followed(lens, wavelength_nm, object_mm, low[:, 0], high[:, 0])
         (least, most), rate = zones.heights_mm[stop], np.abs(zones.slopes[stop]).max(axis=0)
         near = np.where((least < 0.0) & (most > 0.0), 0.0, np.minimum(np.abs(least), np.abs(most)))
@@ -123,7 +123,7 @@ def _end_of_beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, most_mm:
 
 
 def _meets_edge(lens: Lens, heights: Sequence[float]) -> bool:
-    """Tell whether a ray that meets surfaces at these heights meets the edge of the stop, within rounding."""
+    """Tell whether a ray with these heights at the surfaces meets the edge of the stop, within rounding."""
     stop = lens.stop_index or 0
     return len(heights) > stop and abs(heights[stop]) >= (lens.surfaces[stop].semi_diameter_mm or math.nan) * (1 - 1e-6)
 
@@ -131,28 +131,28 @@ def _meets_edge(lens: Lens, heights: Sequence[float]) -> bool:
 def edge_of_stop_mm(
     lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float
 ) -> tuple[float, list[float]]:  # fmt: skip
-    """Return a real axial ray that meets the edge of the stop, no aperture in its way; of several any.
+    """Return a real axial ray that meets the edge of the stop, ignoring other apertures; any one of several.
 
     Parameters
     ----------
     lens : Lens
     wavelength_nm, object_mm : float
-        As for `heights_mm`.
+        As in `heights_mm`.
     guess_mm : float
-        Height of the paraxial ray in the plane of the first vertex.
+        Paraxial height in the plane of the first vertex.
 
     Returns
     -------
     entry : float
-        Its height in the plane of the first vertex.
+        Height in the plane of the first vertex.
     heights : list of float
-        At the surfaces; empty where no ray reaches the edge: the glass itself ends before.
+        Heights at the surfaces; empty if the glass ends before any ray reaches the edge.
     """
     stop = lens.stop_index or 0
     radius = lens.surfaces[stop].semi_diameter_mm or math.nan
 
     def at(height: float) -> tuple[float, list[float]]:
-        """Return by how much a ray passes the edge, inf where it ends before the stop, and its heights."""
+        """Return a ray's excess over the stop's edge, inf if it ends before the stop, and its heights."""
         heights = heights_mm(lens, wavelength_nm, object_mm, height)
         return abs(heights[stop]) - radius if len(heights) > stop else math.inf, heights
 
@@ -164,7 +164,7 @@ def edge_of_stop_mm(
         low, below, inside, high = high, above, outside, 1.5 * high
         above, outside = at(high)
     for trial in range(TRIALS):
-        # By proportion where both ends reach the stop; the middle now and then, and where one does not.
+        # Regula falsi if both ends reach the stop; otherwise, and every third time, bisection.
         share = 0.5 if trial % 3 == 2 or math.isinf(above) else below / (below - above)
         height = low + share * (high - low)
         if not low < height < high:
@@ -179,7 +179,7 @@ def edge_of_stop_mm(
 
 
 def _meet(surface: Surface, y: float, z: float, slope: float) -> tuple[float, float] | None:
-    """Return height and sag at which a ray meets a surface, given from its vertex; None if it misses it."""
+    """Return height and sag of a ray's intersection with a surface, given from its vertex, or None on a miss."""
     height = y - z * slope
     for _ in range(STEPS):
         if abs(height) > surface.reach_mm:

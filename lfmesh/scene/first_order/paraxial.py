@@ -1,9 +1,8 @@
-"""Paraxial optics of a lens: the y-nu trace and what follows from it.
+"""Paraxial optics of a lens by the y-nu trace.
 
-Heights are in mm, angles in rad, reduced (times the index), so that each surface and each gap is a matrix of
-determinant 1. Behind the lens is air, where reduced angles are plain ones; before it may be another medium, in which
-distances are reduced too (over the index). The formulas are those of any textbook, such as W. J. Smith, Modern Optical
-Engineering.
+Heights are in mm. Angles are in rad and reduced (times the index), so that each surface and gap is a matrix of
+determinant 1. Behind the lens is air. Distances in a medium before it are reduced too (over the index). Formulas as in
+W. J. Smith, Modern Optical Engineering.
 """
 
 import math
@@ -16,14 +15,14 @@ from lfmesh.scene.camera.lens import Lens
 
 
 class Ray(NamedTuple):
-    """A paraxial ray at a plane, its angle reduced."""
+    """A paraxial ray at a plane, with its reduced angle."""
 
     height_mm: float
     angle: float
 
 
 class Matrix(NamedTuple):
-    """Maps (height, reduced angle) at one plane to another: y' = A y + B u, u' = C y + D u."""
+    """Ray transfer matrix on (height, reduced angle): y' = A y + B u, u' = C y + D u."""
 
     a: float
     b: float
@@ -31,7 +30,7 @@ class Matrix(NamedTuple):
     d: float
 
     def __call__(self, ray: Ray) -> Ray:
-        """Return a ray as it is after this matrix."""
+        """Return a ray after this matrix."""
         return Ray(self.a * ray.height_mm + self.b * ray.angle, self.c * ray.height_mm + self.d * ray.angle)
 
     def then(self, after: "Matrix") -> "Matrix":
@@ -47,7 +46,7 @@ class Matrix(NamedTuple):
 NOTHING = Matrix(1.0, 0.0, 0.0, 1.0)
 
 ROUNDED = 2.0**-47
-"""A sum that is smaller than this, over the sum of its terms' sizes, is rounding: 64 times that of one addition."""
+"""Rounding limit of a sum, relative to the sum of its terms' magnitudes: 64 times that of one addition."""
 
 
 def gap(length_mm: float, index: float = AIR) -> Matrix:
@@ -62,15 +61,15 @@ class Paraxial:
     Attributes
     ----------
     curvatures : tuple of float, 1/mm
-        One a surface.
+        One per surface.
     gaps_mm : tuple of float
-        From each vertex to the next, one fewer than surfaces.
+        Distances between successive vertices.
     indices : tuple of float
         Before the first surface and after each.
     stop : int
-        Number of the surface whose aperture is the stop.
+        Number of the stop surface.
     thin_powers : tuple of float, 1/mm
-        Of the surfaces that are thin lenses; 0 for the others. Empty: there is none.
+        Powers of thin lenses, 0 for other surfaces; empty if there are none.
     """
 
     curvatures: tuple[float, ...]
@@ -81,14 +80,14 @@ class Paraxial:
 
     @classmethod
     def of(cls, lens: Lens, wavelength_nm: float, *, section_x: bool = False) -> "Paraxial":
-        """Read a prescription; without a marked stop, the first surface counts as the stop.
+        """Read a prescription; without a marked stop, the first surface is the stop.
 
         Parameters
         ----------
         lens : Lens
         wavelength_nm : float
         section_x : bool
-            In the section x–z, which only biconics and toroids make another one, in place of y–z.
+            Use the x–z section in place of y–z; they differ only for biconics and toroids.
         """
         return cls(
             curvatures=tuple(
@@ -108,14 +107,14 @@ class Paraxial:
         return Matrix(1.0, 0.0, -power, 1.0)
 
     def _refraction_size(self, number: int) -> Matrix:
-        """Matrix of surface `number` with the size of every term in place of the term."""
+        """Matrix of surface `number` with the magnitude of every term."""
         power = (self.indices[number + 1] + self.indices[number]) * abs(self.curvatures[number])
         if self.thin_powers:
             power += abs(self.thin_powers[number])
         return Matrix(1.0, 0.0, power, 1.0)
 
     def heights_mm(self, ray: Ray) -> list[float]:
-        """Return the height at every surface of a ray given at the first vertex."""
+        """Return the heights at all surfaces of a ray given at the first vertex."""
         heights = []
         for number in range(len(self.curvatures)):
             if number:
@@ -125,18 +124,18 @@ class Paraxial:
         return heights
 
     def reflected_twice(self, first: int, second: int) -> Matrix:
-        """From the first vertex to just behind the last, for light reflected back at one surface and forth at another.
+        """Matrix from the first vertex to just behind the last, for light reflected at two surfaces.
 
         Parameters
         ----------
         first, second : int
-            Numbers of the surfaces, in the order in which light meets them: first > second.
+            Numbers of the surfaces in the order of reflection: first > second.
         """
         matrix = self._run(0, first, last_refracts=False).then(self._reflection(first, from_front=True))
         for number in range(first - 1, second - 1, -1):
             matrix = matrix.then(gap(self.gaps_mm[number], self.indices[number + 1]))
             if number > second:
-                # Light that comes back is refracted as light that goes on: sides and sense change sign together.
+                # Returning light is refracted like forward light: sides and direction change sign together.
                 matrix = matrix.then(self.refraction(number))
         matrix = matrix.then(self._reflection(second, from_front=False))
         if second + 1 < len(self.curvatures):
@@ -145,28 +144,28 @@ class Paraxial:
         return matrix
 
     def _reflection(self, number: int, *, from_front: bool) -> Matrix:
-        """Matrix of a reflection at surface `number`; angles are counted along the light's way."""
+        """Matrix of a reflection at surface `number`; angles are counted along the direction of the light."""
         index = self.indices[number] if from_front else -self.indices[number + 1]
         return Matrix(1.0, 0.0, 2.0 * index * self.curvatures[number], 1.0)
 
     @cached_property
     def to_stop(self) -> Matrix:
-        """From the first vertex to just before the stop surface."""
+        """Matrix from the first vertex to just before the stop surface."""
         return self._run(0, self.stop, last_refracts=False)
 
     @cached_property
     def from_stop(self) -> Matrix:
-        """From just before the stop surface to just behind the last vertex."""
+        """Matrix from just before the stop surface to just behind the last vertex."""
         return self._run(self.stop, len(self.curvatures) - 1)
 
     @cached_property
     def whole(self) -> Matrix:
-        """From the first vertex to just behind the last."""
+        """Matrix from the first vertex to just behind the last."""
         return self.to_stop.then(self.from_stop)
 
     @cached_property
     def _sizes(self) -> tuple[Matrix, Matrix]:
-        """`to_stop` and `from_stop` with the sizes of all terms added: rounding is in proportion to these."""
+        """`to_stop` and `from_stop` with the magnitudes of all terms added; rounding is proportional to these."""
         return self._run(0, self.stop, last_refracts=False, size=True), self._run(
             self.stop, len(self.curvatures) - 1, size=True
         )
@@ -185,81 +184,81 @@ class Paraxial:
 
     @property
     def length_mm(self) -> float:
-        """From the first vertex to the last."""
+        """Distance from the first vertex to the last."""
         return sum(self.gaps_mm)
 
     @property
     def efl_mm(self) -> float:
-        """Effective focal length, that on the side of the image; inf for an afocal lens."""
+        """Effective focal length on the image side; inf for an afocal lens."""
         return _ratio(-1.0, self.whole.c, self._whole_size.c)
 
     @property
     def bfl_mm(self) -> float:
-        """From the last vertex to the rear focal point; inf for an afocal lens."""
+        """Distance from the last vertex to the rear focal point; inf for an afocal lens."""
         return _ratio(-self.whole.a, self.whole.c, self._whole_size.c)
 
     @property
     def ffl_mm(self) -> float:
-        """From the first vertex to the front focal point: negative where that lies before the lens."""
+        """Distance from the first vertex to the front focal point; negative before the lens."""
         return self.indices[0] * _ratio(self.whole.d, self.whole.c, self._whole_size.c)
 
     @property
     def front_principal_mm(self) -> float:
-        """From the first vertex to the front principal plane; inf for an afocal lens."""
+        """Distance from the first vertex to the front principal plane; inf for an afocal lens."""
         return self.indices[0] * _ratio(self.whole.d - 1.0, self.whole.c, self._whole_size.c)
 
     @property
     def rear_principal_mm(self) -> float:
-        """From the first vertex to the rear principal plane; inf for an afocal lens."""
+        """Distance from the first vertex to the rear principal plane; inf for an afocal lens."""
         return self.length_mm + _ratio(1.0 - self.whole.a, self.whole.c, self._whole_size.c)
 
     def image_mm(self, object_mm: float) -> float:
-        """Return the image distance behind the last vertex of an object this far before the first."""
+        """Return the image distance behind the last vertex, given the object distance before the first."""
         if math.isinf(object_mm):
             return self.bfl_mm
         m, reduced, size = self.whole, object_mm / self.indices[0], self._whole_size
         return _ratio(-(m.a * reduced + m.b), m.c * reduced + m.d, size.c * abs(reduced) + size.d)
 
     def object_mm(self, image_mm: float) -> float:
-        """Return the object distance before the first vertex whose image lies this far behind the last.
+        """Return the object distance before the first vertex, given the image distance behind the last.
 
-        It is negative for a virtual object: an image between the lens and its rear focal point.
+        Negative for a virtual object, with its image between the lens and its rear focal point.
         """
         m = self.whole
         return self.indices[0] * quotient(-(m.b + m.d * image_mm), self.magnification_onto(image_mm))
 
     def magnification(self, object_mm: float) -> float:
-        """Return the transverse magnification of an object this far off; negative for an inverted image."""
+        """Return the transverse magnification for an object distance; negative for an inverted image."""
         if math.isinf(object_mm):
             return 0.0
         reduced, size = object_mm / self.indices[0], self._whole_size
         return _ratio(1.0, self.whole.c * reduced + self.whole.d, size.c * abs(reduced) + size.d)
 
     def magnification_onto(self, image_mm: float) -> float:
-        """Return the transverse magnification of what is imaged this far behind the last vertex; 0 in the focus."""
+        """Return the transverse magnification for an image distance behind the last vertex; 0 at the focus."""
         size = self._whole_size
         value = self.whole.a + self.whole.c * image_mm
         return 0.0 if abs(value) <= ROUNDED * (size.a + size.c * abs(image_mm)) else value
 
     def chief_height_mm(self, image_mm: float) -> float:
-        """Return the height, behind the last vertex, of the ray through the middle of the stop with a slope of 1 there.
+        """Return the height at a plane behind the last vertex of the ray through the stop's centre with slope 1 there.
 
-        The slope is reduced. By the optical invariant, it is also twice the stop's radius times the f-number of the
-        cone of light that the stop lets through to the axis there; 0 in the exit pupil.
+        The slope is reduced. By the optical invariant, this is also twice the stop's radius times the f-number of the
+        light cone to the axis at this plane; 0 in the exit pupil.
         """
         size = self._sizes[1]
         value = self.from_stop.b + self.from_stop.d * image_mm
         return 0.0 if abs(value) <= ROUNDED * (size.b + size.d * abs(image_mm)) else value
 
     def chief_scale_mm(self, object_mm: float, image_mm: float) -> float:
-        """Return the height at which the chief ray of an object point with a slope of one meets a plane, in mm.
+        """Return the height at a plane of an object point's chief ray with slope 1.
 
         Parameters
         ----------
         object_mm : float
-            Distance of the object point before the first vertex; may be inf. Its slope is its height over that.
+            Distance before the first vertex; may be inf. The slope is the object height over this.
         image_mm : float
-            Of the plane behind the last vertex.
+            Distance of the plane behind the last vertex.
         """
         # Before the lens, the ray of `chief_height_mm` has the height −b at the first vertex, and the angle a.
         before = self.to_stop
@@ -267,13 +266,13 @@ class Paraxial:
         return quotient(-self.chief_height_mm(image_mm), slope)
 
     def axial_ray(self, object_mm: float) -> Ray:
-        """Return some ray from the axial point of an object, at the first vertex."""
+        """Return a ray from the axial object point, at the first vertex."""
         return Ray(1.0, 0.0) if math.isinf(object_mm) else Ray(object_mm / self.indices[0], 1.0)
 
     def marginal_ray(self, object_mm: float, stop_radius_mm: float) -> Ray:
-        """Return the axial object point's ray, at the first vertex, that grazes the edge of the stop.
+        """Return the ray from the axial object point through the edge of the stop, at the first vertex.
 
-        Where the stop lies in an image of the object, no ray does: height and angle are inf.
+        Both are inf if the stop lies in an image of the object.
         """
         ray = self.axial_ray(object_mm)
         size = self._sizes[0](Ray(abs(ray.height_mm), abs(ray.angle))).height_mm
@@ -293,12 +292,12 @@ class Paraxial:
 
 
 def quotient(numerator: float, denominator: float) -> float:
-    """Divide; what has no bounds is inf, without a sign: infinity is one point of the axis. 0/0 is nan."""
+    """Divide. An unbounded result is inf without a sign; 0/0 is nan."""
     if denominator == 0:
         return math.inf if numerator else math.nan
     return numerator / denominator
 
 
 def _ratio(numerator: float, denominator: float, size: float) -> float:
-    """Divide, with inf for a denominator that is a sum which should vanish; `size`: the sum of its terms' sizes."""
+    """Divide, with inf for a sum as denominator that vanishes within rounding; `size` adds its terms' magnitudes."""
     return math.inf if abs(denominator) <= ROUNDED * size else numerator / denominator

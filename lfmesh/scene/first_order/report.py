@@ -27,52 +27,52 @@ class AtWavelength:
     efl_mm: float
     bfl_mm: float
     image_shift_mm: float
-    """Distance of the focused plane's image behind that of the primary wavelength."""
+    """Distance of the image of the plane in focus behind that at the primary wavelength."""
 
 
 @dataclass(frozen=True)
 class FirstOrder(Shown):
     """Paraxial properties of a camera at its primary wavelength.
 
-    All z are in the camera frame, where the first lens vertex is the origin. Pupils at infinity (a
-    telecentric lens) and objects at infinity are inf. What only a microlens array has is None without one.
+    All z are from the first lens vertex. Pupils (telecentric lenses) and objects at infinity are inf. Properties of a
+    microlens array are None without one.
     """
 
     wavelength_nm: float
     """The primary wavelength."""
     efl_mm: float
-    """Effective focal length; of a lens in an object medium that on the side of the image."""
+    """Effective focal length, on the image side if the lens has an object medium."""
     bfl_mm: float
-    """From the last vertex to the rear focal point."""
+    """Distance from the last vertex to the rear focal point."""
     ffl_mm: float
-    """From the first vertex to the front focal point; negative where that lies before the lens."""
+    """Distance from the first vertex to the front focal point; negative before the lens."""
     front_principal_plane_z_mm: float
     """z of the object-side principal plane."""
     rear_principal_plane_z_mm: float
     """z of the image-side principal plane."""
     entrance_pupil_z_mm: float
-    """z of the image of the stop by what stands before it."""
+    """z of the image of the stop by the surfaces before it."""
     entrance_pupil_diameter_mm: float
-    """Diameter of the same."""
+    """Diameter of the entrance pupil."""
     exit_pupil_z_mm: float
-    """z of the image of the stop by what stands behind it in the lens."""
+    """z of the image of the stop by the surfaces behind it."""
     exit_pupil_diameter_mm: float
-    """Diameter of the same."""
+    """Diameter of the exit pupil."""
     kind: str
-    """Of camera: "conventional"; "standard plenoptic" (1.0), whose lenslets image the pupil onto the sensor; "focused
-    plenoptic, Keplerian" or "focused plenoptic, Galilean" (2.0), whose lenslets image the main image."""
+    """Kind of camera: "conventional"; "standard plenoptic" (1.0), with lenslets that image the pupil onto the sensor;
+    "focused plenoptic, Keplerian" or "focused plenoptic, Galilean" (2.0), with lenslets that image the main image."""
     object_distance_mm: float
-    """The plane in focus, before the first vertex: what is imaged onto the apexes of a standard camera's array, by the
-    lenslets (of the middle focal length) of a focused one onto the sensor, or onto a conventional camera's sensor."""
+    """Distance of the plane in focus before the first vertex. It is imaged onto the array's apexes (standard), by the
+    lenslets of the middle focal length onto the sensor (focused), or by the lens onto the sensor (conventional)."""
     image_z_mm: float
-    """Position of this plane's image: the apexes, seen through the plate where its flat face looks at the lens;
-    before or behind them in a focused camera; or the sensor of a conventional one."""
+    """z of this plane's image: the apexes as seen by the lens (standard), before or behind them (focused), or the
+    sensor (conventional)."""
     lenslets_z_mm: float | None
-    """The apexes, seen through the plate where its flat face looks at the lens."""
+    """z of the apexes, as seen through the plate if its flat face faces the lens."""
     magnification: float
-    """Transverse, between these two planes; negative for an inverted image."""
+    """Transverse magnification between these two planes; negative for an inverted image."""
     working_f_number: float
-    """On the image side, 1 / (2 u') of the paraxial marginal ray that meets the axis at the lenslets or the sensor."""
+    """Image-side f-number, 1 / (2 u') of the paraxial marginal ray that meets the axis at the lenslets or sensor."""
     microlens_f_number: float | None
     """Distance from the lenslet to the sensor, reduced to air, over the pitch: f/p in the microlens focal
     plane."""
@@ -81,61 +81,62 @@ class FirstOrder(Shown):
     micro_image_diameter_px: float | None
     """Diameter of a micro-image, the image of the exit pupil, in pixels."""
     object_sampling_mm: float
-    """Size of a lenslet on the plane in focus; of a pixel in a conventional camera, and through the lenslets in a
-    focused one."""
+    """Size on the plane in focus of a lenslet (standard), of a pixel (conventional), or of a pixel through the lenslets
+    (focused)."""
     field_of_view_mm: tuple[float, float]
-    """Width and height that array and sensor see of the plane in focus."""
+    """Width and height of the plane in focus that array and sensor see."""
     field: FieldOfView
-    """The same at any distance, and the angles of view of far objects."""
+    """Field of view at any distance, and the angles of view for distant objects."""
     airy_wavelength_nm: float
-    """The longest wavelength of the scene, for which the Airy disks are given: theirs are the largest."""
+    """Longest wavelength of the scene; the Airy disks are given for it, as they are largest there."""
     airy_disk_mm: float
-    """Diameter of the lens's Airy disk, to its first dark ring, where it images the plane in focus. What is traced is
-    geometric optics, without it."""
+    """Diameter of the first dark ring of the lens's Airy pattern for the plane in focus. Rays are traced by geometric
+    optics, without it."""
     airy_disk_samples: float
-    """The same in lenslet pitches, or in pixels in a conventional camera; in a focused one in pixels as the lenslets
-    image them."""
+    """The same in lenslet pitches (standard), in pixels (conventional), or in pixels as imaged by the lenslets
+    (focused)."""
     microlens_airy_disk_px: float | None
     """Diameter of a lenslet's Airy disk on the sensor, in pixels."""
     microlens_fresnel_number: float | None
-    """Square of half a lenslet's width over wavelength and distance from the sensor (no unit): below some ten,
-    diffraction blurs much of the micro-image."""
+    """Square of half a lenslet's width, over the wavelength times the distance from the sensor (no unit). Below about
+    10, diffraction blurs much of the micro-image."""
     kick_error: KickError | None
-    """Errors of pictures of extended light without and with the lenslets' diffraction; None where they are not known:
-    beyond the tables, and of lenslets with round apertures or cylinders. Of hexagons those of edges are not known."""
+    """Errors of pictures of extended light with and without the lenslets' diffraction. None if unknown: beyond the
+    tables, for round apertures and for cylinders. The errors of edges are unknown for hexagons."""
     near_mm: float
-    """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of field; focused:
-    of what lenslets of any type image sharply to a pixel. inf, with `far_mm`, where no real object can be."""
+    """Nearest object distance that can be refocused sharply (standard), that is within the depth of field
+    (conventional), or that any lenslet type images sharply to a pixel (focused). inf, with `far_mm`, if no real object
+    is sharp."""
     far_mm: float
-    """The farthest one; inf where it reaches infinity."""
+    """Farthest such distance; may be inf."""
     view_spacing_mm: float | None = None
-    """Distance of neighbouring views, a pixel of a micro-image apart, on the entrance pupil: their stereo baseline.
-    Of a standard plenoptic camera."""
+    """Distance on the entrance pupil of neighbouring views, a pixel of a micro-image apart: their stereo baseline.
+    Standard plenoptic cameras only."""
     views_across: float | None = None
-    """Views side by side on the diameter of the pupil; of a standard plenoptic camera."""
+    """Number of views across the diameter of the pupil; standard plenoptic cameras only."""
     refocused_mm: tuple[tuple[float, float, float], ...] = ()
-    """Planes refocused to, with the nearest and farthest distance that is then sharp to a lenslet: the near end of the
-    refocus range, the plane in focus, the far end. Of a photograph of all views. Both distances are inf where no real
-    object is sharp."""
+    """Refocused planes, each with the nearest and farthest distance that is sharp to a lenslet in a photograph of all
+    views: the near end of the refocus range, the plane in focus, the far end. Both distances are inf if no real object
+    is sharp."""
     cover_shift_mm: float | None = None
     """Shift of the image away from the lens by the sensor's cover, t (1 - 1/n); None without a cover. The sensor
-    stays where the scene puts it; the other figures are those behind the cover."""
+    stays where the scene puts it; the other figures are for the plane behind the cover."""
     by_wavelength: tuple[AtWavelength, ...] = ()
     """The lens at each wavelength or band, if there are several."""
     efl_x_mm: float | None = None
-    """Effective focal length in the section x–z, where a biconic or toroid makes it another than in y–z, for which all
-    other figures are."""
+    """Effective focal length in the x–z section, if a biconic or toroid makes it differ. All other figures are for the
+    y–z section."""
     object_index: float = 1.0
     """Refractive index of the medium before the lens."""
     image_x_shift_mm: float | None = None
-    """Distance of the focused plane's image in the section x–z behind the image plane."""
+    """Distance behind the image plane of the image of the plane in focus in the x–z section."""
     focused: tuple[FocusedLenslets, ...] = ()
     """Lenslets of a focused plenoptic camera, by type."""
     lenslet_sections: tuple[LensletSection, ...] = ()
-    """Lenslets section by section, where they are cylinders, and those of two faces; empty for others. The figures of
-    the lenslets above are those of the section in which the curved face bends rays."""
+    """Lenslets by section, if they are cylinders or have two faces; otherwise empty. The lenslet figures above are for
+    the section with the power of the curved face."""
     poses: tuple[str, ...] = ()
-    """Lens elements, array and sensor with a pose, a line each; every figure is that of the camera without them."""
+    """Lens elements, array and sensor with a pose, one line each; all figures ignore the poses."""
     warnings: tuple[str, ...] = ()
     """Warnings of likely disappointments, in plain words."""
 
@@ -146,7 +147,7 @@ class FirstOrder(Shown):
         return f"<FirstOrder: {lens}, {span}, {number or 'no'} warning{'' if number == 1 else 's'}>"
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the report without its warnings: the name of every property, and its value with its unit.
+        """Return the report without warnings, as pairs of property name and value with unit.
 
         Returns
         -------
@@ -218,7 +219,7 @@ class FirstOrder(Shown):
         return rows
 
     def _field_in_words(self) -> str:
-        """Return the field of view on the plane in focus; its angles where that lies at infinity."""
+        """Return the field of view on the plane in focus, or its angles if that is at infinity."""
         if math.isfinite(self.object_distance_mm):
             width, height = self.field_of_view_mm
             return f"{_mm(width)} × {_mm(height)}"
@@ -227,18 +228,18 @@ class FirstOrder(Shown):
         return " × ".join(f"{angle:.4g}°" for angle in self.field.angles_deg)
 
     def _object_medium_in_words(self) -> Iterator[tuple[str, str]]:
-        """Yield the medium before the lens, where it is not air, and the focal length on its side."""
+        """Yield the medium before the lens, if it is not air, and the focal length on its side."""
         if self.object_index != AIR:
             front = _mm(self.object_index * self.efl_mm)
             yield "object medium", f"index {self.object_index:.6g}: {front} is the focal length on its side"
 
     def _lenslets_in_words(self) -> str:
-        """Return where the lenslets of a focused camera stand."""
+        """Return the position of a focused camera's lenslets."""
         return f", lenslets at z = {_mm(self.lenslets_z_mm or math.nan)}" if self.focused else ""
 
     @property
     def _view_step(self) -> str:
-        """Distance of neighbouring views, in words: an angle on a pupil at infinity."""
+        """Distance of neighbouring views in words, as an angle if the pupil is at infinity."""
         if self.view_spacing_mm is not None and math.isfinite(self.view_spacing_mm):
             return _mm(self.view_spacing_mm)
         # By the optical invariant, the cone before the lens is the one behind it times the magnification.
@@ -251,7 +252,7 @@ class FirstOrder(Shown):
         return f"{self.microlens_airy_disk_px:.3g} pixels, Fresnel number {self.microlens_fresnel_number:.3g}"
 
     def _waves_in_words(self) -> Iterator[tuple[str, str]]:
-        """Yield what the lenslets' diffraction changes, and the setting that is advised."""
+        """Yield the effect of the lenslets' diffraction, and the recommended setting."""
         if self.microlens_fresnel_number is None:
             return
         error = self.kick_error
@@ -276,7 +277,7 @@ class FirstOrder(Shown):
         yield "diffraction, points", f"the waves of {where} interfere: lf.point_spread has them"
 
     def lines(self) -> list[str]:
-        """Return the report, a line a property, its warnings last, as notes.
+        """Return the report, one line per property, followed by its warnings as notes.
 
         Returns
         -------
@@ -302,7 +303,7 @@ class FirstOrder(Shown):
 
 
 def _section_row(at: LensletSection) -> tuple[str, str]:
-    """Return a row of the report about the lenslets in one section."""
+    """Return the report's row for the lenslets in one section."""
     name = f"lenslets, {at.section}–z" if at.section else "lenslets, both faces"
     if at.micro_image_pitch_px is None:
         return name, "no power: light lands on lines"
@@ -315,7 +316,7 @@ def _section_row(at: LensletSection) -> tuple[str, str]:
 
 
 def _focused_rows(at: FocusedLenslets, several: bool) -> Iterator[tuple[str, str]]:
-    """Yield the rows of the report about a type of lenslet of a focused camera."""
+    """Yield the report's rows for a lenslet type of a focused camera."""
     yield (
         f"lenslets, {_mm(at.focal_length_mm)}" if several else "lenslets",
         f"in focus {_mm(at.in_focus_mm)}, sharp from {_mm(at.near_mm)} to {_mm(at.far_mm)}, "

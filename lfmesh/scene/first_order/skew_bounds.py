@@ -1,7 +1,7 @@
-"""Bounds of skew rays of the axial point over cells of the plane of the first vertex, for lenses of no revolution.
+"""Bounds of skew rays of the axial point over cells of the first vertex plane, for lenses without rotational symmetry.
 
-As in `beam_bounds`, but of two coordinates: every number of the rays of a cell is a range, and so are its derivatives
-by both coordinates of the entry. A number with its derivatives is a `Jet`.
+As in `beam_bounds`, but every quantity of a cell's rays is a `Jet`: a range with the ranges of its derivatives by both
+entry coordinates.
 """
 
 import math
@@ -31,18 +31,18 @@ from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.first_order.beam_bounds import CLOSE, STEPS, WIDER, Beam, enclosed
 
 Jet = Range
-"""Bounds (3, n) of a number and of its derivatives by x and by y of the entry."""
+"""Bounds (3, n) of a quantity and of its derivatives by the entry's x and y."""
 
 CELLS, HALVINGS, MOST_OPEN = 24, 8, 3072
-"""Cells on each side of the entry plane at first, how often they are divided, and how many are left to divide at most.
-"""
+"""Initial number of cells on each side of the entry plane, number of bisections, and maximum number of cells left to
+bisect."""
 
 BEYOND = 1.05
-"""Size of the cells together over that of the beam of the rays that were followed."""
+"""Size of all cells together, relative to the beam of traced rays."""
 
 
 class _Followed(NamedTuple):
-    """Squares of heights at surfaces, as jets (surfaces, 3, cells, and as many middles), and whether all rays go on."""
+    """Squared heights at surfaces, as jets (surfaces, 3, cells and as many centres), and whether all rays continue."""
 
     squares: Jet
     pass_on: NDArray[np.bool_]
@@ -56,13 +56,13 @@ def widest_mm(
     Parameters
     ----------
     lens, wavelength_nm, object_mm
-        As for `axial_beam.beam_mm`.
+        As in `axial_beam.beam_mm`.
     entry_mm : (2,) float64
-        Largest x and y in the plane of the first vertex of rays of the beam that were followed.
+        Largest x and y of traced rays in the plane of the first vertex.
     found_mm : (surfaces,) float64
-        Largest heights of these; inf at a surface where some of them end.
+        Largest heights of these rays; inf where some end.
     clear_mm : float or (surfaces,) float, mm
-        As for `beam_bounds.widest_mm`.
+        As in `beam_bounds.widest_mm`.
     """
     stop = lens.stop_index or 0
     size = BEYOND * entry_mm
@@ -80,7 +80,7 @@ def widest_mm(
         count, half = len(low), 0.5 * (high - low).T
         highest = np.where(pass_on, squares[1][:, 0, :count], np.inf)
         beside = squares[0][stop, 0, :count] > edge
-        # With a multiplier that is not negative, no ray inside the stop is higher than this function is.
+        # With a non-negative multiplier, this function bounds the heights of all rays inside the stop.
         middle, at_stop = (squares[1][:, :, count:], squares[1][stop, :, count:])
         ray = (at_stop[0] <= radius * radius) & np.isfinite(middle[:, 0]).all(axis=0)
         found_mm = np.maximum(found_mm, np.sqrt(np.max(middle[:, 0], axis=1, where=ray, initial=0.0)))
@@ -121,7 +121,7 @@ def widest_mm(
 
 
 def _followed(lens: Lens, wavelength_nm: float, object_mm: float, low: Array, high: Array) -> _Followed:
-    """Follow the rays of cells, whose corners are (n, 2) mm, and those of their middles."""
+    """Trace the rays of cells with corners (n, 2) mm, and of their centres."""
     half = 0.5 * (high - low).T
     middle = (low + 0.5 * (high - low)).T
     x, y = (
@@ -159,7 +159,7 @@ def _followed(lens: Lens, wavelength_nm: float, object_mm: float, low: Array, hi
 def _refracted(bends: list[Range], x: Jet, y: Jet, p: Jet, q: Jet, before: float, behind: float) -> tuple[Jet, Jet]:
     """Return the optical direction cosines p′ = p − Γ z_x and q′ = q − Γ z_y behind a surface.
 
-    With m = (−z_x, −z_y, 1), r = √(n² − p² − q²) and g = r − p z_x − q z_y, Snell's law has
+    With m = (−z_x, −z_y, 1), r = √(n² − p² − q²) and g = r − p z_x − q z_y, Snell's law gives
     Γ = (n′² − n²) / (g + √(g² + m² (n′² − n²))).
     """
     _, by_x, by_y, xx, xy, yy = bends
@@ -182,7 +182,7 @@ def _refracted(bends: list[Range], x: Jet, y: Jet, p: Jet, q: Jet, before: float
 
 
 def _met(surface: Surface, x: Jet, y: Jet, u: Jet, v: Jet) -> Jet:
-    """Return the sag at which rays from places in the vertex plane, along slopes, meet a surface."""
+    """Return the sag at the points where rays from the vertex plane, along slopes, meet a surface."""
     at_x, at_y, at_u, at_v = (0.5 * (each[0][0] + each[1][0]) for each in (x, y, u, v))
 
     def off(z: Array) -> Array:
@@ -218,7 +218,7 @@ def _met(surface: Surface, x: Jet, y: Jet, u: Jet, v: Jet) -> Jet:
 
 
 def _bends(surface: Surface, x: Range, y: Range) -> list[Range]:
-    """Return bounds of the sag, its slopes and second derivatives; without ends where the surface may have ended."""
+    """Return bounds of the sag, its slopes and second derivatives; unbounded where the surface may have ended."""
     r2 = plus(squared(x), squared(y))
     r = np.sqrt(np.maximum(r2[0], 0.0)), np.sqrt(r2[1])
     known = r[1] <= surface.reach_mm
@@ -232,7 +232,7 @@ def _bends(surface: Surface, x: Range, y: Range) -> list[Range]:
         profile_range(curved, surface.vertex_conic, surface.powers_mm, r, order) for order in (SAG, ACROSS, ALONG)
     )
     more, x2, y2 = plus(along, scaled(-1.0, across)), squared(x), squared(y)
-    # Shares of x² and of y² in r².
+    # Fractions of x² and y² in r².
     in_x, in_y = (
         (np.nan_to_num(one[0] / (one[0] + other[1]), nan=0.0), np.nan_to_num(one[1] / (one[1] + other[0]), nan=1.0))
         for one, other in ((x2, y2), (y2, x2))
@@ -244,7 +244,7 @@ def _bends(surface: Surface, x: Range, y: Range) -> list[Range]:
 
 
 def _zero_unless(known: NDArray[np.bool_], each: Range) -> Range:
-    """Return ranges, zero where they are not known."""
+    """Return ranges, set to zero where unknown."""
     return np.where(known, each[0], 0.0), np.where(known, each[1], 0.0)
 
 
@@ -306,7 +306,7 @@ def _power2(of: Jet) -> Jet:
 
 
 def _root(of: Jet) -> Jet:
-    """Return square roots; without ends where the number may be negative."""
+    """Return square roots; unbounded where the radicand may be negative."""
     low, high = _value(of)
     known = low > 0.0
     root = known_where(known, (np.sqrt(np.where(known, low, 1.0)), np.sqrt(np.where(known, high, 1.0))))
@@ -319,7 +319,7 @@ def _inverse(of: Jet) -> Jet:
 
 
 def _tightened(jet: Jet, half: Array) -> Jet:
-    """Return a jet whose values are within those of the mean value form; the second half are those of middles."""
+    """Intersect the values of a jet with their mean value form; the second half belongs to the centres."""
     count = half.shape[1]
     moves = sum(
         np.where(half[k] > 0.0, half[k] * np.maximum(-rate[0], rate[1])[:count], 0.0) for k, rate in enumerate(_by(jet))

@@ -1,4 +1,4 @@
-"""Solving a scene: lens file inlined, stop sized, lenslet radii and distances found."""
+"""Solve a scene: inline its lens file, size its stop, and find lenslet radii and distances."""
 
 import math
 from typing import Any, TypeVar
@@ -22,19 +22,19 @@ from lfmesh.scene.scene import Scene
 M = TypeVar("M", bound=Model)
 
 BEYOND = 1e-6
-"""Relative distance of an advised value inside a limit that is itself not valid."""
+"""Relative margin of an advised value inside a limit that is itself invalid."""
 
 SPARE = 0.05
-"""Share by which solved clear apertures are wider than the beams that they pass."""
+"""Relative margin of solved clear apertures over the beams that they pass."""
 
 
 def solved(scene: Scene) -> Scene:
     """Return a copy of a scene with nothing left to solve.
 
-    The lens file is inlined; exactly one surface is the stop and has its semi-diameter; `f_number`, `epd_mm` and
-    `stop_semi_diameter_mm` are used up; the array has radii instead of focal lengths; the array and the
-    sensor have their distances; `camera.object_medium` is the lens's own; `camera.air` is used up, and glasses name the
-    air round them. All of it is paraxial, at the primary wavelength. A solved scene comes back as it is.
+    The lens file is inlined. Exactly one surface is the stop, with a semi-diameter in place of `f_number`, `epd_mm` and
+    `stop_semi_diameter_mm`. The array has radii instead of focal lengths; array and sensor have distances.
+    `camera.object_medium` becomes the lens's, and `camera.air` the air of every glass. The solution is paraxial, at the
+    primary wavelength. A solved scene is returned unchanged.
 
     Parameters
     ----------
@@ -47,8 +47,7 @@ def solved(scene: Scene) -> Scene:
     Raises
     ------
     SceneError
-        A distance is neither given nor to be had from `focus_mm`, or what follows from the file is
-        impossible.
+        A distance is neither given nor solvable from `focus_mm`, or the result is impossible.
     """
     primary = scene.primary_nm
     lens = with_lens_file(scene.camera.lens, scene.folder)
@@ -63,7 +62,7 @@ def solved(scene: Scene) -> Scene:
         lens = _changed(lens, object_medium=outside)
         scene = scene.model_copy(update={"camera": _changed(scene.camera, object_medium=None)})
     if lens is not scene.camera.lens:
-        # The lens came after the scene was checked: check the two together.
+        # The lens was read after the scene was checked: check the two together.
         scene = scene.changed({"camera.lens": lens.model_dump()}, solves=True)
     scene = in_its_air(scene)
     camera = scene.camera
@@ -74,26 +73,26 @@ def solved(scene: Scene) -> Scene:
     camera = _changed(camera, lens=_with_apertures(camera, primary))
     if camera == scene.camera:
         return scene
-    # Checked again: a stop made larger, or a radius from a focal length, may make surfaces cross.
+    # Check again: a larger stop, or a radius from a focal length, may make surfaces cross.
     return scene.changed({"camera": camera.model_dump()}, solves=True)
 
 
 def air_thickness_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
-    """Return the reduced thickness of the array's plate, t/n, in mm."""
+    """Return the reduced thickness of the array's plate, t/n."""
     return mla.thickness_mm / refractive_index(mla.medium, wavelength_nm)
 
 
 def cover_shift_mm(sensor: Sensor, wavelength_nm: float) -> float:
-    """Return how far the sensor's cover moves the image away from the lens, t (1 - 1/n), in mm; 0 without a cover."""
+    """Return the image shift away from the lens by the sensor's cover, t (1 - 1/n); 0 without a cover."""
     if sensor.cover is None:
         return 0.0
     return sensor.cover.thickness_mm * (1.0 - 1.0 / refractive_index(sensor.cover.medium, wavelength_nm))
 
 
 def lenslet_focal_length_mm(mla: MicrolensArray, wavelength_nm: float) -> tuple[float, ...]:
-    """Return the focal lengths of the lenslet types of a solved array, in mm: R / (n − 1), or those of both faces.
+    """Return the focal length of each lenslet type of a solved array: R / (n − 1), or that of both faces.
 
-    Of cylinders, in the section in which the curved face bends rays.
+    For cylinders, in the section with the power of the curved face.
     """
     if mla.has_back:
         return tuple(lenslet_optics(mla, wavelength_nm, kind).focal_length_mm for kind in range(mla.types))
@@ -102,10 +101,10 @@ def lenslet_focal_length_mm(mla: MicrolensArray, wavelength_nm: float) -> tuple[
 
 
 def front_principal_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
-    """Return how far behind the array's face towards the lens its lenslets' front principal points lie, as in air, mm.
+    """Return the distance, as in air, of the front principal points behind the array's face towards the lens.
 
-    Where only one face is curved, they are its apexes, which the lens may see through the plate, as t/n behind the flat
-    face. The lens focuses on the plane of these points.
+    With one curved face they are its apexes, seen t/n behind the flat face if that faces the lens. The lens focuses on
+    their plane.
     """
     if mla.has_back:
         return lenslet_optics(mla, wavelength_nm).front_principal_mm
@@ -113,7 +112,7 @@ def front_principal_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
 
 
 def rear_principal_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
-    """Return how far before the array's face towards the sensor the rear principal points lie, as in air, in mm."""
+    """Return the distance, as in air, from the rear principal points to the array's face towards the sensor."""
     if mla.has_back:
         return lenslet_optics(mla, wavelength_nm).rear_principal_mm
     return air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "lens" else 0.0
@@ -122,8 +121,7 @@ def rear_principal_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
 def image_plane_mm(camera: Camera, wavelength_nm: float) -> float:
     """Return the distance from the last vertex to the plane that the lens focuses on, in mm of air.
 
-    With an array it is the plane of the lenslets' front principal points: of the apexes of a single curved face; where
-    the flat one looks at the lens, these are seen through the plate, t/n behind that face.
+    With an array, it is the plane of the lenslets' front principal points.
     """
     if camera.mla is None:
         return (camera.sensor.distance_mm or math.nan) - cover_shift_mm(camera.sensor, wavelength_nm)
@@ -192,8 +190,8 @@ def _focused_image_mm(camera: Camera, omitted: str, wavelength_nm: float) -> flo
 def _image_by_track_mm(camera: Camera, lens: Paraxial, wavelength_nm: float) -> float:
     """Return the image distance of an object `focus_mm` before the sensor.
 
-    With the distances x and x' from the focal points, x x' = n f² (Newton), n the index before the lens: of the two
-    that leave x + x' as it is, the object's is the larger one.
+    The distances x and x' from the focal points satisfy x x' = n f² (Newton), n the index before the lens. Of the two
+    solutions for a given sum x + x', the object's distance is the larger one.
     """
     assert camera.focus_mm is not None
     rest = -lens.ffl_mm + lens.length_mm + lens.bfl_mm + _behind_image_mm(camera, wavelength_nm)
@@ -216,9 +214,9 @@ def _image_by_track_mm(camera: Camera, lens: Paraxial, wavelength_nm: float) -> 
 
 
 def _behind_image_mm(camera: Camera, wavelength_nm: float) -> float:
-    """Return the distance from the plane that the lens focuses on to the sensor, which an array may keep apart.
+    """Return the distance from the plane that the lens focuses on to the sensor.
 
-    Of a camera whose distance behind the lens is not known yet.
+    The distance behind the lens need not be known.
     """
     mla = camera.mla
     shift = cover_shift_mm(camera.sensor, wavelength_nm)
@@ -231,7 +229,7 @@ def _behind_image_mm(camera: Camera, wavelength_nm: float) -> float:
 
 
 def focus_wished_mm(camera: Camera, wavelength_nm: float) -> float | None:
-    """Return how far before the first vertex the object plane lies that `focus_mm` names, for a solved camera."""
+    """Return the distance before the first vertex of the object plane that `focus_mm` names, for a solved camera."""
     if camera.focus_mm is None or camera.focus_from == "first_vertex":
         return camera.focus_mm
     lens = Paraxial.of(camera.lens, wavelength_nm)
@@ -264,7 +262,7 @@ def _focal_plane_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
 
 
 def _with_stop(camera: Camera, wavelength_nm: float) -> Lens:
-    """Mark the stop, if none is, and give it its size."""
+    """Mark the stop, if none is marked, and size it."""
     lens = camera.lens
     number = lens.stop_index
     if number is None:
@@ -295,9 +293,9 @@ def _with_stop(camera: Camera, wavelength_nm: float) -> Lens:
 
 
 def _with_apertures(camera: Camera, wavelength_nm: float) -> Lens:
-    """Give the surfaces without a clear aperture the one that passes the beams of the whole picture.
+    """Give surfaces without a clear aperture the one that passes the beams of the whole picture, with `SPARE`.
 
-    By the marginal ray of the axis and the chief ray of the picture's corner, whose heights add up, with `SPARE`.
+    It is the sum of the heights of the marginal ray and the corner's chief ray.
     """
     lens = camera.lens
     omitted = [i for i, s in enumerate(lens.surfaces) if s.semi_diameter_mm is None and s.refractor is None]
@@ -326,7 +324,7 @@ def _with_apertures(camera: Camera, wavelength_nm: float) -> Lens:
 
 
 def _beam_mm(camera: Camera, paraxial: Paraxial, object_mm: float, image: float) -> list[float]:
-    """Return the height up to which the beams of the whole picture fill each surface, by paraxial rays."""
+    """Return the largest height of the whole picture's beams at each surface, by paraxial rays."""
     lens = camera.lens
     radius = lens.surfaces[paraxial.stop].semi_diameter_mm or math.nan
     marginal = paraxial.heights_mm(paraxial.marginal_ray(object_mm, radius))
@@ -340,7 +338,7 @@ def _beam_mm(camera: Camera, paraxial: Paraxial, object_mm: float, image: float)
 
 
 def _room_mm(lens: Lens, number: int, widest_mm: float) -> float:
-    """Return the height up to which surface `number` stays before the next, with some to spare; `widest_mm` at most."""
+    """Return the largest height with a clear gap from surface `number` to the next, at most `widest_mm`."""
     front, back = lens.surfaces[number], lens.surfaces[number + 1]
     if front.refractor is not None or back.refractor is not None:
         return widest_mm
@@ -351,7 +349,7 @@ def _room_mm(lens: Lens, number: int, widest_mm: float) -> float:
 
 
 def _limiting_surface(camera: Camera, wavelength_nm: float) -> int:
-    """Return the surface that is first filled by the growing axial beam of the focused object."""
+    """Return the surface that the growing axial beam of the focused object fills first."""
     paraxial = Paraxial.of(camera.lens, wavelength_nm)
     object_mm = paraxial.object_mm(image_plane_mm(camera, wavelength_nm))
     heights = paraxial.heights_mm(paraxial.axial_ray(object_mm))

@@ -1,7 +1,6 @@
 """Light sources besides emitting targets, all in the world frame.
 
-Each lamp says what others ask of it as properties: the region it shines from, where it is headed, how wide its light
-spreads, by which law. Nothing else needs to know which lamp it is.
+Properties describe every lamp alike: region, heading, angular spread and emission law.
 """
 
 import math
@@ -23,21 +22,21 @@ Array = NDArray[np.float64]
 HalfAngle = Annotated[float, Field(strict=True, gt=0, le=180)]
 
 Emission = Literal["even", "cone", "lambert", "sine", "profile"]
-"""Laws of a lamp's intensity: the same in every direction or in a cone, by the cosine or the sine of the angle from its
-axis, or by a table."""
+"""Angular law of a lamp's intensity: even in all directions or in a cone, by the cosine or sine of the angle from its
+axis, or tabulated."""
 
 
 class LinearPolarisation(Model):
     """A field along a line.
 
-    Its angle starts from the part of the world's x axis that is square to the ray (of the y axis, for a ray along x).
+    Its angle starts from the world's x axis, projected perpendicular to the ray (the y axis for a ray along x).
     """
 
     kind: Literal["linear"] = "linear"
     """Kind of polarisation."""
     angle_deg: Number
-    """Angle of the field from the world's x axis, in degrees, counter-clockwise as the receiver of the light sees
-    it."""
+    """Angle of the field from the world's x axis, in degrees, counter-clockwise as seen by the receiver of the
+    light."""
 
     @property
     def stokes(self) -> tuple[float, float, float]:
@@ -47,13 +46,13 @@ class LinearPolarisation(Model):
 
 
 class CircularPolarisation(Model):
-    """A field that turns."""
+    """A field that rotates."""
 
     kind: Literal["circular"] = "circular"
     """Kind of polarisation."""
     handedness: Literal["right", "left"] = "right"
-    """Sense of rotation of the field: "right" is counter-clockwise as the receiver of the light sees it (IEEE, IAU).
-    "left": clockwise."""
+    """Sense of rotation of the field: "right" is counter-clockwise as seen by the receiver (IEEE, IAU). "left":
+    clockwise."""
 
     @property
     def stokes(self) -> tuple[float, float, float]:
@@ -81,7 +80,7 @@ class _Shines(Model):
 
     @property
     def emission(self) -> Emission:
-        """Law by which the intensity depends on the direction."""
+        """Angular law of the intensity."""
         return self.law if self.ies is None else "profile"
 
     @property
@@ -91,32 +90,32 @@ class _Shines(Model):
 
     @property
     def region(self) -> Region | None:
-        """Region that it shines from; None for parallel light, which comes from no place."""
+        """Emitting region; None for parallel light."""
         return None
 
     @property
     def place_in_words(self) -> str:
-        """Key and value of its place, as in a scene file, and its size."""
+        """Position and size, as keys and values of a scene file."""
         return f"position_mm = {list(cast(_InOnePlace, self).position_mm)}"
 
     @property
     def axes(self) -> Array:
-        """Unit axes, (3, 3) float64: two across the lamp, at a profile's horizontal angles 0 and 90, and its own."""
+        """Unit axes, (3, 3) float64: two across the lamp, at a profile's horizontal angles 0 and 90, then its own."""
         return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
 
     @property
     def heading(self) -> Array | None:
-        """Unit direction about which the light goes, (3,) float64; None where no direction is preferred."""
+        """Central direction of the light, a unit vector (3,) float64; None if there is none."""
         return None
 
     @property
     def spread_deg(self) -> float:
-        """Angle from the heading beyond which nothing shines, before a profile is read."""
+        """Largest angle of the light from the heading, before a profile is read."""
         return 180.0
 
     @property
     def even_deg(self) -> float:
-        """Angle from the heading up to which a cone shines evenly."""
+        """Half angle of the even part of a cone."""
         return self.spread_deg
 
     @property
@@ -126,25 +125,25 @@ class _Shines(Model):
 
     @property
     def state(self) -> "Polarisation | None":
-        """State of polarisation; None for unpolarised light."""
+        """Polarisation, or None for unpolarised light."""
         return None
 
 
 class PointLight(_Shines):
-    """A point that shines alike in every direction, or by an angular profile."""
+    """A point that emits evenly in all directions, or by an angular profile."""
 
     kind: Literal["point"] = "point"
     """Kind of light."""
     position_mm: Vector
     """Position, in mm."""
     power_w: Positive
-    """Power into all directions together, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with
-    bands over the whole range of wavelengths from the first band's beginning to the last one's end."""
+    """Power into all directions together, in W. It applies at each wavelength of `transport.wavelengths_nm`, or with
+    bands to the whole range from the start of the first band to the end of the last."""
     polarisation: Polarisation | None = None
     """State of complete polarisation. Needs `transport.polarisation`. Omitted: unpolarised."""
     profile: FilePath | None = None
-    """IES file (LM-63, type C), relative to the scene file: shape of the intensity over the directions, scaled to
-    `power_w`. Its vertical angles start at -y, down, its horizontal ones at +x, towards -z. Omitted: even."""
+    """IES file (LM-63, type C), relative to the scene file: angular shape of the intensity, scaled to `power_w`. Its
+    vertical angles start at -y, down; its horizontal ones run from +x towards -z. Omitted: even."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations of the profile about x, then y, then z, in degrees."""
 
@@ -170,7 +169,7 @@ class PointLight(_Shines):
         return self.polarisation
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a rotation of what looks alike from all sides."""
+        """Yield a rotation without a profile to rotate."""
         if self.profile is None and any(self.rotation_deg):
             yield Fault(("rotation_deg",), list(self.rotation_deg), "turns a profile, and none is given; omit it")
 
@@ -186,11 +185,11 @@ class _Directed(_Shines):
 
     @property
     def axes(self) -> Array:
-        """Axes, (3, 3) float64, as `turns.axes_along` has them."""
+        """Axes, (3, 3) float64, from `turns.axes_along`."""
         return axes_along(self.heading, 0.0)
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a direction without direction."""
+        """Yield a vector that gives no direction."""
         if why := no_direction(self.direction):
             yield Fault(("direction",), list(self.direction), why)
 
@@ -201,9 +200,9 @@ class DirectionalLight(_Directed):
     kind: Literal["directional"] = "directional"
     """Kind of light."""
     irradiance_w_m2: Positive
-    """Irradiance of a plane square to the direction, in W/m². It holds at each wavelength of
-    `transport.wavelengths_nm`, or with bands over the whole range of wavelengths from the first band's beginning to the
-    last one's end."""
+    """Irradiance of a plane perpendicular to the direction, in W/m². It applies at each wavelength of
+    `transport.wavelengths_nm`, or with bands to the whole range from the start of the first band to the end of the
+    last."""
     polarisation: Polarisation | None = None
     """State of complete polarisation. Needs `transport.polarisation`. Omitted: unpolarised."""
 
@@ -214,7 +213,7 @@ class DirectionalLight(_Directed):
 
     @property
     def spread_deg(self) -> float:
-        """All light goes along the direction."""
+        """Zero: all light travels along the direction."""
         return 0.0
 
     @property
@@ -224,7 +223,7 @@ class DirectionalLight(_Directed):
 
 
 class DiskLight(_Directed):
-    """A disk that shines to one side by Lambert's law."""
+    """A disk that emits to one side by Lambert's law."""
 
     kind: Literal["disk"] = "disk"
     """Kind of light."""
@@ -233,8 +232,8 @@ class DiskLight(_Directed):
     radius_mm: Positive
     """Radius, in mm."""
     power_w: Positive
-    """Power into its half space, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with bands over
-    the whole range of wavelengths from the first band's beginning to the last one's end."""
+    """Power into its half space, in W. It applies at each wavelength of `transport.wavelengths_nm`, or with bands to
+    the whole range from the start of the first band to the end of the last."""
 
     law: ClassVar[Emission] = "lambert"
 
@@ -250,32 +249,32 @@ class DiskLight(_Directed):
 
     @property
     def spread_deg(self) -> float:
-        """A half space."""
+        """90, a half space."""
         return 90.0
 
 
 class RectangleLight(_Directed):
-    """A rectangle that shines to one side by Lambert's law, such as an LED panel, or by an angular profile."""
+    """A rectangle that emits to one side by Lambert's law, such as an LED panel, or by an angular profile."""
 
     kind: Literal["rectangle"] = "rectangle"
     """Kind of light."""
     position_mm: Vector
     """Centre, in mm."""
     width_mm: Positive
-    """Extent along the part of the world's x axis that is square to `direction`, in mm; `turn_deg` turns it. Where
-    `direction` is along x, it lies along y."""
+    """Extent along the world's x axis, projected perpendicular to `direction`, in mm; `turn_deg` turns it. For a
+    `direction` along x it lies along y."""
     height_mm: Positive
-    """Extent square to the width, in mm."""
+    """Extent perpendicular to the width, in mm."""
     turn_deg: Number = 0.0
-    """Turn of rectangle and profile about `direction`, in degrees, counter-clockwise as seen from behind the lamp. The
-    eye there looks along `direction`."""
+    """Turn of rectangle and profile about `direction`, in degrees, counter-clockwise as seen from behind the lamp,
+    looking along `direction`."""
     power_w: Positive
-    """Power into all directions together, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with
-    bands over the whole range of wavelengths from the first band's beginning to the last one's end."""
+    """Power into all directions together, in W. It applies at each wavelength of `transport.wavelengths_nm`, or with
+    bands to the whole range from the start of the first band to the end of the last."""
     profile: FilePath | None = None
-    """IES file (LM-63, type C), relative to the scene file: shape of the intensity over the directions, scaled to
-    `power_w`. It is the same from each point. Its vertical angles start at `direction`, its horizontal ones at the
-    width's axis. Omitted: Lambert's law."""
+    """IES file (LM-63, type C), relative to the scene file: angular shape of the intensity, scaled to `power_w`, the
+    same at each point. Its vertical angles start at `direction`, its horizontal ones at the width's axis. Omitted:
+    Lambert's law."""
 
     law: ClassVar[Emission] = "lambert"
 
@@ -296,7 +295,7 @@ class RectangleLight(_Directed):
 
     @property
     def spread_deg(self) -> float:
-        """A half space, or what a profile says."""
+        """90, a half space; 180 with a profile."""
         return 90.0 if self.profile is None else 180.0
 
     @property
@@ -306,7 +305,7 @@ class RectangleLight(_Directed):
 
 
 class LineLight(_Shines):
-    """A thin straight tube: each part of it shines by the sine of the angle from its axis."""
+    """A thin straight tube: each part of it emits by the sine of the angle from its axis."""
 
     kind: Literal["line"] = "line"
     """Kind of light."""
@@ -315,8 +314,8 @@ class LineLight(_Shines):
     end_mm: Vector
     """The other end, in mm."""
     power_w: Positive
-    """Power into all directions together, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with
-    bands over the whole range of wavelengths from the first band's beginning to the last one's end."""
+    """Power into all directions together, in W. It applies at each wavelength of `transport.wavelengths_nm`, or with
+    bands to the whole range from the start of the first band to the end of the last."""
 
     law: ClassVar[Emission] = "sine"
 
@@ -338,12 +337,12 @@ class LineLight(_Shines):
 
     @property
     def axes(self) -> Array:
-        """Axes, (3, 3) float64: two square to the tube, and the tube's own."""
+        """Axes, (3, 3) float64: two perpendicular to the tube, then along it."""
         way = np.array(self._way_mm)
         return axes_along(way / np.linalg.norm(way), 0.0)
 
     def faults(self) -> Iterator[Fault]:
-        """Yield ends in the same place, which tell no axis."""
+        """Yield coincident ends, which define no axis."""
         if not any(self._way_mm):
             yield Fault(("end_mm",), list(self.end_mm), "the same place as start_mm; a line has two ends")
         elif why := no_direction(self._way_mm):
@@ -351,7 +350,7 @@ class LineLight(_Shines):
 
 
 class SpotLight(_Directed):
-    """A point that shines into a cone, evenly but for a soft edge, or by an angular profile."""
+    """A point that emits into a cone, evenly up to a soft edge, or by an angular profile."""
 
     kind: Literal["spot"] = "spot"
     """Kind of light."""
@@ -360,16 +359,15 @@ class SpotLight(_Directed):
     half_angle_deg: HalfAngle | None = None
     """Angle between the cone's axis and its outer edge, in degrees, up to 180. Or give `profile`."""
     edge_deg: NonNegative = 0.0
-    """Width of the soft edge inside the cone, in degrees; 0 is a sharp edge. The intensity falls to zero there,
+    """Width of the soft edge inside the cone, in degrees; 0 is a sharp edge. The intensity falls to zero across it,
     linearly in the cosine of the angle from the axis."""
     power_w: Positive
-    """Power into the cone, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with bands over the
-    whole range of wavelengths from the first band's beginning to the last one's end."""
+    """Power into the cone, in W. It applies at each wavelength of `transport.wavelengths_nm`, or with bands to the
+    whole range from the start of the first band to the end of the last."""
     profile: FilePath | None = None
-    """IES file (LM-63, type C), relative to the scene file: shape of the intensity over the directions, scaled to
-    `power_w`. Its vertical angles start at `direction`, its horizontal ones at the side of +x (+y where `direction` is
-    along x), counter-clockwise as seen from behind the lamp, by an eye that looks along `direction`. Or give
-    `half_angle_deg`."""
+    """IES file (LM-63, type C), relative to the scene file: angular shape of the intensity, scaled to `power_w`. Its
+    vertical angles start at `direction`. Its horizontal ones start towards +x (+y for a `direction` along x) and run
+    counter-clockwise as seen from behind the lamp, looking along `direction`. Or give `half_angle_deg`."""
     turn_deg: Number = 0.0
     """Turn of the profile about `direction`, counter-clockwise as seen from behind the lamp, in degrees."""
 
@@ -387,12 +385,12 @@ class SpotLight(_Directed):
 
     @property
     def spread_deg(self) -> float:
-        """The half angle of the cone, or what a profile says."""
+        """Half angle of the cone; 180 with a profile."""
         return 180.0 if self.half_angle_deg is None else self.half_angle_deg
 
     @property
     def even_deg(self) -> float:
-        """The half angle of the cone inside its soft edge."""
+        """Half angle of the cone inside its soft edge."""
         return self.spread_deg - self.edge_deg
 
     @property
@@ -401,7 +399,7 @@ class SpotLight(_Directed):
         return self.profile
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a cone that is missing, or given twice, or softer than it is wide."""
+        """Yield a cone that is missing, given twice, or narrower than its soft edge."""
         yield from super().faults()
         if self.profile is None:
             if self.half_angle_deg is None:

@@ -1,4 +1,4 @@
-"""Particles: points that shine or that a light sheet lights, from a file or drawn at random, moved between frames."""
+"""Particles: points that shine or that a light sheet lights, from a file or random, moved between frames."""
 
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
@@ -22,10 +22,10 @@ Array = NDArray[np.float64]
 MOST_PARTICLES = 20_000_000
 
 DARKEST = 1e-6
-"""Brightness, over that of the brightest in a sheet, below which particles are left out."""
+"""Brightness in a sheet, relative to the brightest particle, below which particles are left out."""
 
 ACROSS = 1e-3
-"""Largest sine of the angle by which a sheet's light may leave its plane."""
+"""Largest sine of the angle between a sheet's light and its plane."""
 
 PLACE = ("x_mm", "y_mm", "z_mm")
 INTENSITY = "intensity_w_sr"
@@ -38,21 +38,21 @@ class Sheet(Model):
     """A light sheet: parallel light, Gaussian across the sheet and even along it."""
 
     point_mm: Vector
-    """A point of the sheet's middle plane, in the middle of its width, in mm."""
+    """Centre of the sheet, in its middle plane and halfway across its width, in mm."""
     normal: Vector
-    """Direction square to the sheet; of any length from 1e-100 to 1e100."""
+    """Normal of the sheet; of any length from 1e-100 to 1e100."""
     direction: Vector
     """Direction of the light in the sheet; of any length from 1e-100 to 1e100."""
     thickness_mm: Positive
-    """Full thickness of the sheet, in mm, where the irradiance is 1/e² of that in its middle."""
+    """Full thickness of the sheet, in mm, between the surfaces where the irradiance is 1/e² of its peak."""
     width_mm: Positive
-    """Extent of the sheet square to `normal` and `direction`, in mm; beyond it there is no light."""
+    """Extent of the sheet perpendicular to `normal` and `direction`, in mm; there is no light beyond it."""
     power_w: Positive
-    """Power of the sheet, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with bands over the whole
-    range of wavelengths from the first band's beginning to the last one's end."""
+    """Power of the sheet, in W. It applies at each wavelength of `transport.wavelengths_nm`, or with bands to the whole
+    range from the start of the first band to the end of the last."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield directions that are none, or not square to each other."""
+        """Yield vectors that give no direction, or are not perpendicular."""
         for key in ("normal", "direction"):
             if why := no_direction(getattr(self, key)):
                 yield Fault((key,), list(getattr(self, key)), why)
@@ -62,11 +62,11 @@ class Sheet(Model):
                 yield Fault(("direction",), list(self.direction), "must lie in the sheet, square to normal")
 
     def irradiance_w_mm2(self, points_mm: Array) -> Array:
-        """Return the irradiance on a plane square to the light, in W/mm², at points (n, 3), mm.
+        """Return the irradiance on a plane perpendicular to the light.
 
         Parameters
         ----------
-        points_mm : (n, 3) float64
+        points_mm : (n, 3) float64, mm
             World frame.
 
         Returns
@@ -84,7 +84,7 @@ class Sheet(Model):
 
 
 class UniformDisplacement(Model):
-    """All particles move alike."""
+    """All particles move by the same vector."""
 
     kind: Literal["uniform"] = "uniform"
     """Kind of displacement field."""
@@ -94,44 +94,44 @@ class UniformDisplacement(Model):
 
 class _AboutAxis(Model):
     center_mm: Vector
-    """A point of the axis, in mm."""
+    """A point on the axis, in mm."""
     axis: Vector
     """Direction of the axis; of any length from 1e-100 to 1e100."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield an axis without direction."""
+        """Yield an axis that gives no direction."""
         if why := no_direction(self.axis):
             yield Fault(("axis",), list(self.axis), why)
 
 
 class RotationDisplacement(_AboutAxis):
-    """All particles turn about an axis together."""
+    """All particles rotate about an axis."""
 
     kind: Literal["rotation"] = "rotation"
     """Kind of displacement field."""
     angle_deg: Number
-    """Angle from one frame to the next, in degrees, counter-clockwise as seen against the axis's arrow."""
+    """Angle from one frame to the next, in degrees, counter-clockwise with the axis pointing at the viewer."""
 
 
 class VortexDisplacement(_AboutAxis):
-    """A vortex of Lamb and Oseen: particles go round an axis on circles, fastest near the core's radius."""
+    """A Lamb-Oseen vortex: particles circle an axis, fastest near the core's radius."""
 
     kind: Literal["vortex"] = "vortex"
     """Kind of displacement field."""
     core_mm: Positive
-    """Radius of the core, in mm: along circles the displacement is Γ (1 − exp(−r² / core²)) / (2 π r)."""
+    """Radius of the core, in mm: the displacement along the circle is Γ (1 − exp(−r² / core²)) / (2 π r)."""
     circulation_mm2: Number
-    """Γ, in mm² from one frame to the next; its sign as that of an angle about the axis."""
+    """Γ, in mm² from one frame to the next; positive is a right-handed turn about the axis."""
 
 
 class MeasuredDisplacement(Model):
-    """Displacements from a file, linear between the nodes of a grid."""
+    """Displacements from a file, interpolated linearly between the nodes of a grid."""
 
     kind: Literal["file"] = "file"
     """Kind of displacement field."""
     file: FilePath
     """CSV file, relative to the scene file, with x_mm, y_mm, z_mm, dx_mm, dy_mm and dz_mm on the nodes of a grid. The
-    grid has edges along x, y, z; its nodes stand in any order. Particles beyond it are not moved."""
+    grid is aligned with x, y, z; its nodes may be in any order. Particles outside it do not move."""
 
 
 Displacement = Annotated[
@@ -140,46 +140,46 @@ Displacement = Annotated[
 
 
 class Particles(Model):
-    """Points that shine alike in all directions, or scatter the light of a light sheet."""
+    """Points that shine evenly in all directions, or scatter the light of a light sheet."""
 
     name: Text | None = None
     """Name of the particles in messages."""
     file: FilePath | None = None
-    """CSV file, relative to the scene file, with x_mm, y_mm, z_mm and intensity_w_sr. The last column is left out with
+    """CSV file, relative to the scene file, with x_mm, y_mm, z_mm and intensity_w_sr. Leave the last column out with
     `sheet` or `intensity_w_sr`. Or give `count` and `bounds`."""
     count: Annotated[Count, Field(le=MOST_PARTICLES)] | None = None
-    """Number of particles that are drawn evenly in `bounds`."""
+    """Number of particles drawn uniformly in `bounds`."""
     bounds: Bounds | None = None
     """Body filled with particles: box, sphere or cylinder."""
     seed: Whole = 0
-    """Seed of the drawn places (no unit); the same seed draws the same places."""
+    """Random seed of the positions (no unit)."""
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Position of the centre of `bounds`, or of the origin of the file's coordinates, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
-    """Rotations of `bounds`, or of the file's places, about x, then y, then z, in degrees."""
+    """Rotations of `bounds`, or of the file's positions, about x, then y, then z, in degrees."""
     intensity_w_sr: NonNegative | None = None
-    """Radiant intensity of each particle, in W/sr, alike in all directions. It holds at each wavelength of
-    `transport.wavelengths_nm`, or with bands over the whole range of wavelengths from the first band's beginning to the
-    last one's end. Omitted: that of the file or by `sheet`."""
+    """Radiant intensity of each particle, in W/sr, the same in all directions. It applies at each wavelength of
+    `transport.wavelengths_nm`, or with bands to the whole range from the start of the first band to the end of the
+    last. Omitted: that of the file or by `sheet`."""
     spectrum: SpectralShape | None = None
-    """Spectrum of their power, or of the sheet's, in any unit; as of lights. Needs bands. Omitted: the same at all
+    """Spectrum of their power, or of the sheet's, in any unit; as for lights. Needs bands. Omitted: the same at all
     wavelengths."""
     sheet: Sheet | None = None
-    """Light sheet that lights them, in place of an intensity of their own."""
+    """Light sheet that illuminates them, in place of an intensity of their own."""
     phase: Phase = Field(default_factory=IsotropicPhase)
     """Phase function of the light scattered from the sheet."""
     diameter_um: Positive | None = None
-    """Diameter, in µm; particles scatter as much light as falls on their cross-section. With `kind = "mie"`, where the
-    diameter stands in `phase`, the scattering cross-section follows from it."""
+    """Diameter, in µm; a particle scatters all the light that falls on its cross-section. With `kind = "mie"` the
+    diameter belongs in `phase`, and the scattering cross-section follows from it."""
     displacement: Displacement | None = None
     """Displacement from one frame to the next, for image pairs."""
     frame: Annotated[int, Field(strict=True, ge=0, le=100_000)] = 0
-    """Number of times that they have been displaced (no unit)."""
+    """Number of displacements so far (no unit)."""
     samples: Count = 64
-    """Packets from each particle to the lens at each wavelength, in all replicates; at least one a replicate."""
+    """Packets from each particle to the lens per wavelength, in all replicates; at least one per replicate."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is missing, or given twice."""
+        """Yield keys that are missing or given twice."""
         if self.file is not None:
             for key in ("count", "bounds"):
                 if getattr(self, key) is not None:
@@ -207,14 +207,14 @@ class Particles(Model):
 
 
 def unit(vector: Any) -> Array:
-    """Return a vector of length 1 along another, (3,), however short or long that is."""
+    """Return the unit vector along a vector, (3,), however short or long that is."""
     v = np.array(vector, dtype=np.float64)
     v /= np.abs(v).max()
     return np.asarray(v / np.linalg.norm(v))
 
 
 def particle_places(group: Particles, scene: Resolves) -> tuple[Array, Array]:
-    """Return where particles are in the world frame, and their intensities.
+    """Return the positions of particles in the world frame, and their intensities.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def particle_places(group: Particles, scene: Resolves) -> tuple[Array, Array]:
     -------
     points : (n, 3) float64, mm
     intensity : (n,) float64, W/sr
-        With a light sheet the irradiance, W/mm².
+        Irradiance, W/mm², with a light sheet.
 
     Raises
     ------
@@ -258,7 +258,7 @@ def particle_places(group: Particles, scene: Resolves) -> tuple[Array, Array]:
 
 
 def shining_particles(group: Particles, scene: Resolves) -> tuple[Array, Array]:
-    """Return the particles of a group that shine, as `particle_places` does.
+    """Return the particles of a group that shine, in the form of `particle_places`.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def shining_particles(group: Particles, scene: Resolves) -> tuple[Array, Array]:
 
 
 def _drawn(group: Particles) -> Array:
-    """Return places evenly distributed in the bounds, (n, 3), mm, in the frame of the bounds."""
+    """Draw positions uniformly in the bounds, (n, 3), mm, in the frame of the bounds."""
     u = np.random.default_rng(group.seed).random((group.count or 0, 3))
     match group.bounds:
         case Box(size_mm=size):
@@ -287,15 +287,14 @@ def _drawn(group: Particles) -> Array:
 
 
 def displaced_places(group: Particles, points: Array, scene: Resolves) -> Array:
-    """Return the places of particles after all displacements up to their frame.
+    """Return the positions of particles after all displacements up to their frame.
 
     Parameters
     ----------
     group : Particles
     points : (n, 3) float64, mm
-        In the first frame, world frame.
+        World frame, in the first frame.
     scene : Resolves
-        Whose files the displacement may name.
     """
     for _ in range(group.frame):
         points = points + displacements(group, points, scene)
@@ -303,7 +302,7 @@ def displaced_places(group: Particles, points: Array, scene: Resolves) -> Array:
 
 
 def displacements(group: Particles, points: Array, scene: Resolves) -> Array:
-    """Return how far particles go to the next frame.
+    """Return the displacements of particles to the next frame.
 
     Parameters
     ----------
@@ -318,7 +317,7 @@ def displacements(group: Particles, points: Array, scene: Resolves) -> Array:
     Raises
     ------
     FileError
-        The file of a field cannot be used.
+        The file of a displacement field cannot be used.
     """
     match group.displacement:
         case UniformDisplacement(vector_mm=vector):
@@ -335,7 +334,7 @@ def displacements(group: Particles, points: Array, scene: Resolves) -> Array:
             square = (radius / core) ** 2
             share = np.divide(-np.expm1(-square), square, out=np.ones_like(square), where=square > 0.0)
             angle = circulation / (2.0 * np.pi * core**2) * share
-            # Along the circle itself, as a displacement along its tangent would lead out of it.
+            # Along the circle itself: a step along the tangent would leave it.
             turned = np.cross(along, off)
             return np.sin(angle)[:, None] * turned - 2.0 * (np.sin(0.5 * angle) ** 2)[:, None] * off
         case MeasuredDisplacement(file=file):
@@ -344,7 +343,7 @@ def displacements(group: Particles, points: Array, scene: Resolves) -> Array:
 
 
 def _from_grid(scene: Resolves, file: str, points: Array) -> Array:
-    """Return the displacements of a file at points, linear between its nodes and 0 beyond them."""
+    """Return the displacements of a file at points, interpolated linearly and 0 outside its grid."""
     path = scene.resolve(file)
     columns = read_table(path, (*PLACE, *VECTOR))
     for name, column in zip((*PLACE, *VECTOR), columns, strict=True):

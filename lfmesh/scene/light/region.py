@@ -1,4 +1,4 @@
-"""The region that a lamp shines from, a point, a line, a rectangle or a disk, and bounds that enclose it."""
+"""The emitting region of a lamp: a point, line, rectangle or disk, with bounds that enclose it."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 Shape = Literal["straight", "round"]
-"""Shapes of regions: points, lines and rectangles, which are the whole of their box; disks, which are round in it."""
+"""Shapes of regions: points, lines and rectangles fill their box; disks are inscribed in it."""
 
 CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Points of a lamp: those within two half axes of its centre, which are square to each other.
+    """Points of a lamp, spanned by two perpendicular half axes about its centre.
 
     Both half axes are zero for a point, one for a line.
 
@@ -26,7 +26,7 @@ class Region:
     half_mm : (2, 3) float64
         Half axes.
     shape : str
-        Shape within the rectangle that the half axes span; where it is not straight, both are of the same length.
+        Shape within the rectangle of the half axes, which have equal length if it is round.
     """
 
     centre_mm: Array
@@ -35,7 +35,7 @@ class Region:
 
     @property
     def is_round(self) -> bool:
-        """True where a circle holds the region."""
+        """True for a disk."""
         return self.shape != "straight"
 
     @property
@@ -45,7 +45,7 @@ class Region:
 
     @property
     def size_mm(self) -> float:
-        """Radius of the smallest sphere round the centre that holds the region."""
+        """Radius of the smallest sphere about the centre that contains the region."""
         one, other = self.lengths_mm
         return float(one if self.is_round else np.hypot(one, other))
 
@@ -57,7 +57,7 @@ class Region:
 
     @property
     def spine_mm(self) -> Array:
-        """Half of the segment round the centre to whose points all points are as near as `thickness_mm`, (3,)."""
+        """Half of the central segment that has every point of the region within `thickness_mm`, (3,)."""
         one, other = self.lengths_mm
         longer = int(other > one)
         longest = max(one, other)
@@ -65,23 +65,23 @@ class Region:
 
     @property
     def thickness_mm(self) -> float:
-        """Largest distance of a point of the region from the segment that `spine_mm` tells."""
+        """Largest distance of a point of the region from the segment of `spine_mm`."""
         return float(self.lengths_mm.min() * (1.0 if self.is_round else np.sqrt(2.0)))
 
     @property
     def corners_mm(self) -> Array:
-        """Points whose convex hull holds the region, (n, 3) float64: one, two or four, in their order round it."""
+        """Corners of a convex hull that contains the region, (n, 3) float64: one, two or four, in cyclic order."""
         used = self.lengths_mm > 0.0
         corners = np.unique(CORNERS * used, axis=0) if used.sum() < 2 else CORNERS
         return self.centre_mm + corners @ self.half_mm
 
     def reach_mm(self, directions: Array) -> Array:
-        """Return how far the region reaches from its centre along unit directions (n, 3), (n,) float64."""
+        """Return the extent of the region from its centre along unit directions (n, 3), (n,) float64."""
         along = np.abs(directions @ self.half_mm.T)
         return np.asarray(np.hypot(*along.T) if self.is_round else along.sum(axis=1))
 
     def holds(self, start_mm: Array, end_mm: Array, margin_mm: Array) -> NDArray[np.bool_]:
-        """Tell which segments in the plane of the region come inside it by more than a margin.
+        """Tell for segments in the plane of the region if they enter it by more than a margin.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Spectral quantities: a number, or a spectrum from a table, a file, an illuminant's name or a temperature."""
+"""Spectral quantities: a number, or a spectrum given by a table, a file, an illuminant or a temperature."""
 
 from collections.abc import Iterator
 from functools import lru_cache
@@ -22,7 +22,7 @@ Kelvin = Annotated[float, Field(strict=True, ge=1.0, le=1e6)]
 NO_COEFFICIENT = "a coefficient is a number without quotes, a table, or the name of a .csv file, in 1/mm"
 
 PIECES = 4096
-"""Pieces of a table of Planck's law over the range that is asked for."""
+"""Number of intervals in a table of Planck's law over the requested range."""
 
 
 class Spectrum(Model):
@@ -31,7 +31,7 @@ class Spectrum(Model):
     wavelengths_nm: tuple[Positive, ...] | None = None
     """Wavelengths of a table, increasing, in nm; linear in between."""
     values: tuple[Number, ...] | None = None
-    """The value at each of `wavelengths_nm`, in the unit of the field that the spectrum stands in."""
+    """Value at each of `wavelengths_nm`, in the unit of the field that holds the spectrum."""
     file: FilePath | None = None
     """A CSV file, relative to the scene file, with the columns wavelength_nm and value."""
     name: Text | None = None
@@ -40,7 +40,7 @@ class Spectrum(Model):
     """Temperature of a black body, in K."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         table = self.wavelengths_nm is not None or self.values is not None
         given = [key for key in ("file", "name", "blackbody_k") if getattr(self, key) is not None]
         given = ["values", *given] if table else given
@@ -55,7 +55,7 @@ class Spectrum(Model):
             yield Fault(("name",), self.name, f"no illuminant has this name{near}; there are {', '.join(NAMED)}")
 
     def in_words(self) -> str:
-        """Return its name, file, temperature or range.
+        """Return the name, file, temperature or range.
 
         Returns
         -------
@@ -69,7 +69,7 @@ class Spectrum(Model):
 
 
 def _of_text(value: Any) -> Any:
-    """Let text stand for a file, if it ends in .csv, or for the name of an illuminant."""
+    """Accept text as a file's path, if it ends in .csv, else as an illuminant's name."""
     if isinstance(value, str):
         return {"file" if value.lower().endswith(".csv") else "name": value}
     return value
@@ -84,7 +84,7 @@ Reflectance = Annotated[
     Discriminator(_kind),
     BeforeValidator(_of_text, json_schema_input_type=FractionOfOne | str | Spectrum),
 ]
-"""A share of the light, 0 to 1: a number, or by wavelength."""
+"""A fraction of the light, 0 to 1: a number, or by wavelength."""
 
 Radiance = Annotated[
     Annotated[NonNegative, Tag("<number>")] | Annotated[Spectrum, Tag("<spectrum>")],
@@ -95,7 +95,7 @@ Radiance = Annotated[
 
 
 def _coefficient_of_text(value: Any) -> Any:
-    """Let text stand for a file; in other text an illuminant would be looked for, which is no coefficient."""
+    """Accept text as a file only: an illuminant is not a coefficient."""
     if isinstance(value, str) and not value.lower().endswith(".csv"):
         raise ValueError(NO_COEFFICIENT)
     return value
@@ -111,7 +111,7 @@ Shape = Annotated[Spectrum, BeforeValidator(_of_text, json_schema_input_type=str
 
 
 def coefficient_faults(value: float | Spectrum, where: Location) -> Iterator[Fault]:
-    """Yield what keeps a spectrum from being a coefficient: light is none."""
+    """Yield a spectrum of light given as a coefficient."""
     if not isinstance(value, Spectrum):
         return
     if value.name is not None or value.blackbody_k is not None:
@@ -119,14 +119,14 @@ def coefficient_faults(value: float | Spectrum, where: Location) -> Iterator[Fau
 
 
 class Resolves(Protocol):
-    """A scene, which knows where its files are."""
+    """A scene, which locates its files."""
 
     def resolve(self, path: str | Path) -> Path:
-        """Return the path of a file as one that can be opened."""
+        """Return the full path of a file."""
 
 
 def spectral_in_words(value: float | Spectrum) -> str:
-    """Describe a spectral quantity: its number, or its spectrum."""
+    """Describe a spectral quantity by its number or spectrum."""
     return value.in_words() if isinstance(value, Spectrum) else f"{value:g}"
 
 
@@ -136,17 +136,17 @@ def curve_of(spectrum: float | Spectrum, reach_nm: tuple[float, float], scene: R
     Parameters
     ----------
     spectrum : float or Spectrum
-        A number is the same at all wavelengths.
+        A number holds at all wavelengths.
     reach_nm : (float, float)
-        Wavelengths between which it is asked for.
+        Wavelength range that the curve must cover.
     scene : Resolves
     where : str
-        Its place in the scene, for messages.
+        Location in the scene, for messages.
 
     Raises
     ------
     SceneError, FileError
-        It does not reach so far, or its file cannot be used.
+        It does not cover the range, or its file cannot be used.
     """
     first, last = reach_nm
     if not isinstance(spectrum, Spectrum):
@@ -172,24 +172,24 @@ def curve_of(spectrum: float | Spectrum, reach_nm: tuple[float, float], scene: R
 def planck_curve(temperature_k: float, reach_nm: tuple[float, float]) -> Curve:
     """Return the spectral radiance of a black body between two wavelengths, W/(m² sr nm)."""
     first, last = reach_nm
-    # A black body far from its peak shines with next to nothing, which is no table of zeros.
+    # Not checked as a table is: far from its peak a black body may emit next to nothing.
     w = np.linspace(first, last, PIECES + 1) if last > first else _reach(first, last)
     return Curve(w, planck_radiance(w, temperature_k))
 
 
 def _reach(first_nm: float, last_nm: float) -> NDArray[np.float64]:
-    """Return the ends of a curve that holds some wavelengths, or one wavelength alone, (2,) nm."""
+    """Return the ends of a curve over a wavelength range, widened if it is a single wavelength, (2,) nm."""
     return np.array([first_nm, max(last_nm, first_nm * (1.0 + 1e-6))])
 
 
 @lru_cache(maxsize=256)
 def _read(path: Path, stamp: tuple[object, ...]) -> Curve:
-    """Return the curve of a file; `stamp` only tells versions of the file apart."""
+    """Return the curve of a file; `stamp` identifies the version of the file."""
     return read_curve(path, "value")
 
 
 def reflectance_fault(value: float | Spectrum, where: Location) -> Iterator[Fault]:
-    """Yield what keeps a spectrum from being a reflectance; values in files are checked when they are read."""
+    """Yield the reason why a spectrum is not a reflectance; values in files are checked on reading."""
     if not isinstance(value, Spectrum):
         return
     if value.name is not None or value.blackbody_k is not None:

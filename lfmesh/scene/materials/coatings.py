@@ -1,4 +1,4 @@
-"""Coatings of interfaces, each by one of the fields of `Coating`."""
+"""Coatings of interfaces, each given by one field of `Coating`."""
 
 import re
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from lfmesh.scene.model import Fault, Model, nearest
 from lfmesh.scene.quantities import FilePath, FractionOfOne, GlassName, Positive
 
 UNCOATED = "none"
-"""Name of the coating that every scene has: bare."""
+"""Name of the bare surface, which every scene has."""
 
 MOST_LAYERS = 1000
 
@@ -24,17 +24,17 @@ _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
 class MeasuredIndex(Model):
-    """Complex index n + ik of a layer by a table; linear in between, and beyond its ends as at the nearer one."""
+    """Complex index n + ik of a layer by a table, interpolated linearly and constant beyond its ends."""
 
     wavelengths_nm: tuple[Positive, ...] = Field(min_length=1)
     """Wavelengths, increasing, in nm."""
     index: tuple[LayerIndex, ...]
-    """Refractive index n at each of them."""
+    """Refractive index n at each wavelength."""
     extinction: tuple[Extinction, ...] = ()
-    """Extinction k at each of them. Omitted: none."""
+    """Extinction k at each wavelength. Omitted: none."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the columns."""
+        """Yield faults between columns."""
         count = len(self.wavelengths_nm)
         for key in ("index", "extinction"):
             given = len(getattr(self, key))
@@ -65,17 +65,17 @@ class Layer(Model):
     index: LayerIndex | None = None
     """Refractive index. Or give `glass` or `measured`."""
     extinction: Extinction = 0.0
-    """Imaginary part k of the index n + ik, of a layer that absorbs (no unit); beside `index` only."""
+    """Imaginary part k of the index n + ik, for a layer that absorbs (no unit); beside `index` only."""
     glass: GlassName | None = None
-    """A glass or film of the catalogue, like "SCHOTT/N-BK7" or "main/TiO2/Devore-o". Its extinction is that of the
-    catalogue, if any."""
+    """A glass or film of the catalogue, like "SCHOTT/N-BK7" or "main/TiO2/Devore-o", with the catalogue's extinction,
+    if any."""
     measured: MeasuredIndex | None = None
-    """Its index and extinction by wavelength."""
+    """Index and extinction by wavelength."""
     thickness_nm: Positive
     """Thickness, in nm."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         given = [key for key in ("index", "glass", "measured") if getattr(self, key) is not None]
         if not given:
             yield Fault(("index",), None, "missing: give the index of the layer, glass or measured")
@@ -101,7 +101,7 @@ class Layer(Model):
         Raises
         ------
         GlassError
-            The catalogue has no such glass, or not at this wavelength.
+            The catalogue lacks the glass, or its index at this wavelength.
         """
         if self.glass is not None:
             return complex_index(self.glass, wavelength_nm)
@@ -111,17 +111,17 @@ class Layer(Model):
 
 
 class MeasuredReflectance(Model):
-    """Reflectance by wavelength and angle; what is not reflected passes."""
+    """Reflectance by wavelength and angle; the rest of the light is transmitted."""
 
     wavelengths_nm: tuple[Positive, ...] = Field(min_length=1)
     """Wavelengths, increasing, in nm; linear in between, nothing outside."""
     angles_deg: tuple[float, ...]
     """Angles in the thinner medium, increasing from 0 to 90 degrees; a monotone cubic in the cosine in between."""
     reflectance: tuple[tuple[FractionOfOne, ...], ...]
-    """For each wavelength the reflectance at each angle, 0..1; 1 at 90 degrees."""
+    """One row per wavelength: the reflectance at each angle, 0..1; 1 at 90 degrees."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the columns."""
+        """Yield faults between columns."""
         for key in ("wavelengths_nm", "angles_deg"):
             if any(after <= before for before, after in pairwise(getattr(self, key))):
                 yield Fault((key,), None, "must increase")
@@ -135,17 +135,16 @@ class MeasuredReflectance(Model):
 
 
 class Coating(Model):
-    """Coating of an interface: one of its fields is given."""
+    """Coating of an interface, given by exactly one field."""
 
     reflectance: FractionOfOne | None = None
     """Share of the light that is reflected, 0..1, at every angle and wavelength; the rest passes."""
     table: FilePath | None = None
-    """CSV file, relative to the scene file, with wavelength_nm, angle_deg and reflectance. Angles are those in the
-    thinner medium, from 0 to 90; every angle stands at every wavelength. The rest of the light passes. Between
-    wavelengths it is linear, between angles a monotone cubic in the cosine, as layers behave: give angles close
-    enough."""
+    """CSV file, relative to the scene file, with wavelength_nm, angle_deg and reflectance. Angles are in the thinner
+    medium, from 0 to 90, and are the same at every wavelength. The rest of the light passes. Interpolation is linear in
+    wavelength and a monotone cubic in the cosine of the angle, as layers behave; give closely spaced angles."""
     measured: MeasuredReflectance | None = None
-    """Content of a file as `table` names, in its place."""
+    """Contents of a `table` file, in its place."""
     layers: tuple[Layer, ...] | None = None
     """The layers of a stack, from the air side to the glass; between two glasses from the object to the sensor."""
 
@@ -159,7 +158,7 @@ class Coating(Model):
         return [key for key in type(self).model_fields if getattr(self, key) is not None]
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         given = self._given
         if not given:
             *others, last = type(self).model_fields
@@ -173,7 +172,7 @@ class Coating(Model):
 
 
 def name_fault(name: str) -> str | None:
-    """Return why a coating cannot have a name; None if it can."""
+    """Return why a coating cannot have this name, or None if it can."""
     if name == UNCOATED:
         return f'"{UNCOATED}" stands for a bare surface; take another name'
     if not _NAME.fullmatch(name):
@@ -182,7 +181,7 @@ def name_fault(name: str) -> str | None:
 
 
 def unknown_fault(name: str, known: Iterator[str] | list[str] | tuple[str, ...]) -> str | None:
-    """Return what is wrong with the name of a coating that a surface gives; None if there is such a coating."""
+    """Return a message if a surface names an unknown coating, else None."""
     names = [*known, UNCOATED]
     if name in names:
         return None

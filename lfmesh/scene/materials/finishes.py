@@ -8,24 +8,24 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from lfmesh.scene.model import Fault, Model
 
 SMOOTHEST = 1e-4
-"""Roughness below which ground glass is traced as polished: facets then turn light by some tenths of a milliradian."""
+"""Roughness below which ground glass is traced as polished; its facets deflect light by a few tenths of a mrad."""
 
 Roughness = Annotated[float, Field(strict=True, ge=0, le=1)]
 
 
 class Finish(Model):
-    """The finish of an interface; without parameters its name is enough."""
+    """The finish of an interface; the name alone suffices if it has no parameters."""
 
     kind: Literal["polished", "diffuse", "ground"] = "polished"
     """Scatter of the interface: none, by the cosine law, or at microfacets. "polished": smooth. "diffuse": reflects and
     transmits by the cosine law, whatever the direction of the light. "ground": microfacets, each of which reflects and
-    refracts as a smooth interface does."""
+    refracts like a smooth interface."""
     roughness: Roughness | None = None
     """Walter's α_g of the GGX distribution of "ground", 0..1 (no unit); a glTF roughness r is r². Half of the surface
     has a slope above it."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         if self.kind == "ground" and self.roughness is None:
             yield Fault(("roughness",), None, 'missing: finish = { kind = "ground", roughness = 0.1 }, say')
         elif self.kind != "ground" and self.roughness is not None:
@@ -51,12 +51,12 @@ POLISHED = Finish()
 
 
 def _as_table(value: Any) -> Any:
-    """Let a name stand for a finish without parameters."""
+    """Accept a name as a finish without parameters."""
     return {"kind": value} if isinstance(value, str) else value
 
 
 def _schema() -> dict[str, Any]:
-    """Return the JSON schema of a finish: the names that are enough, or a table."""
+    """Return the JSON schema of a finish: a name that needs no parameters, or a table."""
     fields = Finish.model_json_schema()["properties"]
     kinds: list[Any] = fields["kind"]["enum"]
     parameters = {key: field["anyOf"][0] for key, field in fields.items() if key != "kind"}
@@ -71,7 +71,7 @@ def _schema() -> dict[str, Any]:
 
 
 AnyFinish = Annotated[Finish, BeforeValidator(_as_table), WithJsonSchema(_schema())]
-"""A finish as a scene file gives it: a name or a table."""
+"""A finish in a scene file: a name or a table."""
 
 
 def both_given(coating: str, finish: Finish, key: str) -> Iterator[Fault]:
@@ -80,10 +80,10 @@ def both_given(coating: str, finish: Finish, key: str) -> Iterator[Fault]:
     Parameters
     ----------
     coating : str
-        Name of its coating.
+        Name of the coating.
     finish : Finish
     key : str
-        That gives the finish.
+        Key of the finish.
     """
     if coating != "none" and finish.is_rough:
         yield Fault(

@@ -1,13 +1,13 @@
-"""The glasses of a scene, each with the air it stands in."""
+"""The glasses of a scene, each with the air around it."""
 
 from lfmesh.scene.materials.own_glass import in_air
 from lfmesh.scene.scene import Scene
 
 
 def in_its_air(scene: Scene) -> Scene:
-    """Return a scene whose `camera.air` is used up: every glass says itself in which air it stands.
+    """Return a scene with `camera.air` transferred to every glass that has no `air` of its own.
 
-    A scene without that key comes back as it is. Numbers in `index` stay, as does a glass that has an `air` of its own.
+    Plain numbers in `index` stay.
     """
     air = scene.camera.air
     if air is None:

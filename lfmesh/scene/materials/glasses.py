@@ -8,7 +8,7 @@ Glass = str | OwnGlass
 
 
 def glass_lines(scene: Scene) -> list[str]:
-    """Describe every glass of a solved scene, a line each: where it is, its name with the catalogue, nd and Vd."""
+    """Describe each glass of a solved scene in a line: locations, name with catalogue, nd and Vd."""
     places: dict[Glass, list[str]] = {}
     outside = scene.camera.lens.object_medium
     if outside is not None and outside.glass is not None:
@@ -22,7 +22,7 @@ def glass_lines(scene: Scene) -> list[str]:
         places.setdefault(scene.camera.sensor.cover.glass, []).append("sensor's cover")
     for i, target in enumerate(scene.targets):
         if target.refractor is not None and target.refractor.glass is not None:
-            # A tank's bodies are called after it.
+            # The bodies of a tank are named after it.
             name = target.name if target.refractor.solid is not None else None
             places.setdefault(target.refractor.glass, []).append(name or f"targets[{i}]")
     for name, coating in scene.all_coatings.items():

@@ -1,4 +1,4 @@
-"""Matter of one refractive index: a plain number, or a glass or liquid of the catalogue or by its dispersion."""
+"""Homogeneous matter: a plain refractive index, or a glass or liquid by catalogue name or dispersion."""
 
 from collections.abc import Iterator
 
@@ -14,16 +14,16 @@ class Matter(Model):
     index: Index | None = None
     """Refractive index. Or give `glass`."""
     glass: Glass | None = None
-    """Glass or liquid of the catalogue, like "main/H2O/Daimon-20.0C", or by its dispersion, like { nd = 1.5168, vd =
+    """Glass or liquid: a catalogue name such as "main/H2O/Daimon-20.0C", or a dispersion such as { nd = 1.5168, vd =
     64.17 }."""
 
     @property
     def medium(self) -> Medium:
-        """An index or a glass; None for an index of 1, which is air."""
+        """An index or a glass; None for an index of 1 (air)."""
         return self.glass if self.index is None else None if self.index == AIR else self.index
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         if self.index is None and self.glass is None:
             yield Fault(("index",), None, "missing: give the index, or glass")
         elif self.index is not None and self.glass is not None:

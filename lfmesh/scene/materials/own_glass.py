@@ -1,4 +1,4 @@
-"""Glasses by a table of their own: by nd and Vd, by Sellmeier's coefficients, by a table, or by name in other air."""
+"""Glasses given by nd and Vd, by Sellmeier coefficients, by a table, or by name in other air."""
 
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
@@ -17,13 +17,13 @@ from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import FilePath, GlassName, Index, Number, Positive
 
 MOST_TERMS = 8
-"""Terms of Sellmeier's formula."""
+"""Maximum number of terms of the Sellmeier formula."""
 
 MOST_ROWS = 2000
-"""Rows of a table: more than any maker prints, few enough for a spline through all."""
+"""Maximum number of rows of a table: more than any maker publishes, few enough for one spline."""
 
 CLOSEST_NM = 1e-3
-"""Least distance of wavelengths in a table: no maker measures closer, and a spline through closer ones is noise."""
+"""Smallest spacing of wavelengths in a table: no maker measures closer, and a spline through closer ones is noise."""
 
 AbbeNumber = Annotated[float, Field(strict=True, gt=0, le=1000)]
 
@@ -34,7 +34,7 @@ class OwnGlass(Model):
     """A glass by its dispersion: `nd` with `vd`, Sellmeier's coefficients or a table; or by name, in other air."""
 
     nd: Index | None = None
-    """Index at the d line, 587.56 nm, of a glass of normal dispersion by `vd`. Its other indices follow."""
+    """Index at the d line, 587.56 nm; with `vd` it defines a glass of normal dispersion."""
     vd: AbbeNumber | None = None
     """Abbe number (nd − 1) / (nF − nC) (no unit)."""
     sellmeier_b: tuple[Number, ...] | None = None
@@ -42,27 +42,27 @@ class OwnGlass(Model):
     sellmeier_c_um2: tuple[Number, ...] | None = None
     """Coefficients c of that formula, in µm²."""
     table: FilePath | None = None
-    """CSV file with wavelength_nm and n, relative to the file that names it. Its content is read at once and takes its
-    place as `wavelengths_nm` and `values`."""
+    """CSV file with wavelength_nm and n, relative to the file that names it. It is read at once, and `wavelengths_nm`
+    and `values` replace it."""
     wavelengths_nm: tuple[Positive, ...] | None = None
     """Wavelengths of a table, increasing, in nm; smooth in between, nothing outside."""
     values: tuple[Number, ...] | None = None
-    """The refractive index at each of `wavelengths_nm`."""
+    """Refractive index at each of `wavelengths_nm`."""
     name: GlassName | None = None
     """Name of the glass in the catalogue, for a glass in other air."""
     air: Air | None = None
-    """Air around the glass, to which its index is relative. `camera.air` sets it for all glasses. Omitted: the
-    catalogues' 20 °C and 101.325 kPa."""
+    """Air that the index is relative to. `camera.air` sets it for all glasses. Omitted: the catalogues' 20 °C and
+    101.325 kPa."""
 
     @property
     def catalogue_name(self) -> str | None:
-        """Its name in the catalogue, if it has one."""
+        """Name in the catalogue, if any."""
         return self.name
 
     @model_validator(mode="before")
     @classmethod
     def _read_table(cls, data: Any, info: ValidationInfo) -> Any:
-        """Put what a table's file holds in its place."""
+        """Replace the file of a table with its contents."""
         file = data.get("table") if isinstance(data, Mapping) else None
         if (
             not isinstance(file, str)
@@ -74,10 +74,10 @@ class OwnGlass(Model):
         try:
             present = path.is_file()
         except OSError:
-            # A name that no file can have.
+            # No file can have this name.
             present = False
         if not present:
-            # The field's own check says so.
+            # The check of the field reports it.
             return data if (info.context or {}).get("folder") is not None else _refuse(f"no file {file!r}")
         try:
             curve = read_curve(path, "n")
@@ -87,7 +87,7 @@ class OwnGlass(Model):
         return rows | {key: value for key, value in data.items() if key == "air"}
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         kinds = (("nd", "vd"), ("sellmeier_b", "sellmeier_c_um2"), ("table",), ("wavelengths_nm", "values"), ("name",))
         given = [kind for kind in kinds if any(getattr(self, key) is not None for key in kind)]
         if not given:
@@ -138,12 +138,12 @@ class OwnGlass(Model):
         Raises
         ------
         GlassError
-            The glass is not known there.
+            The index is unknown at this wavelength.
         """
         return _index(self, float(wavelength_nm))
 
     def in_words(self) -> str:
-        """Describe the glass, with nd and Vd where it reaches the visible.
+        """Describe the glass, with nd and Vd if it covers the visible range.
 
         Returns
         -------
@@ -182,7 +182,7 @@ def _index(glass: OwnGlass, wavelength_nm: float) -> float:
 
 
 def _known_index(glass: OwnGlass, wavelength_nm: float) -> float:
-    """Return the index in the air of the catalogues."""
+    """Return the index relative to the catalogues' air."""
     if glass.name is not None:
         return refractive_index(glass.name, wavelength_nm)
     if glass.nd is not None and glass.vd is not None:
@@ -199,7 +199,7 @@ def _kind(value: Any) -> str:
 
 
 def _name_or_table(value: Any) -> Any:
-    """Refuse what is neither, before either says what it would need."""
+    """Refuse values that are neither a name nor a table."""
     if isinstance(value, str | Mapping | OwnGlass):
         return value
     return _refuse(
@@ -212,11 +212,11 @@ Glass = Annotated[
     Discriminator(_kind),
     BeforeValidator(_name_or_table),
 ]
-"""A glass of the catalogue by its name, or a glass by its dispersion."""
+"""A glass by catalogue name or by dispersion."""
 
 
 def with_tables_beside(data: Any, folder: Path) -> Any:
-    """Return the tables of a lens file with the paths of glass tables made to start from its folder, in place."""
+    """Make the paths of glass tables in a lens file start from its folder, in place, and return its tables."""
     surfaces = data.get("surfaces") if isinstance(data, dict) else None
     for surface in surfaces if isinstance(surfaces, list) else ():
         glass = surface.get("glass") if isinstance(surface, dict) else None
@@ -226,18 +226,18 @@ def with_tables_beside(data: Any, folder: Path) -> Any:
 
 
 def in_air(model: Any, air: Air | None, part: str | None = None) -> Any:
-    """Return a model whose glass, or that of one of its parts, stands in some air.
+    """Return a model with its glass, or that of one of its parts, in the given air.
 
-    A number in `index` stays, and so does a glass with an `air` of its own.
+    A plain `index` and a glass with its own `air` stay.
 
     Parameters
     ----------
     model : object
-        Has `glass`, or a part that has; None stays None.
+        Model with a `glass`, or None.
     air : Air or None
-        None: the model stays as it is.
+        None leaves the model unchanged.
     part : str, optional
-        Field of the model with the glass.
+        Field of the model that has the glass.
     """
     if part is not None:
         return model.model_copy(update={part: in_air(getattr(model, part), air)})

@@ -1,1 +1,1 @@
-"""Media that light passes through before the camera, and air."""
+"""Media in front of the camera, and air."""

@@ -1,4 +1,4 @@
-"""The air round the camera, where it is not that of the glass catalogues."""
+"""The air around the camera, if it is not that of the glass catalogues."""
 
 from typing import Annotated
 
@@ -12,22 +12,22 @@ Kilopascal = Annotated[float, Field(strict=True, ge=0, le=1000)]
 
 
 class Air(Model):
-    """Temperature and pressure of dry air, relative to which glasses then have their indices."""
+    """Temperature and pressure of dry air, as the reference of glass indices."""
 
     temperature_c: Celsius = REFERENCE_C
-    """Temperature, in °C. Of the air alone: the glasses stay as they are at 20 °C."""
+    """Temperature, in °C. It applies to the air alone: the glasses stay at 20 °C."""
     pressure_kpa: Kilopascal = REFERENCE_KPA
     """Pressure, in kPa; 0 is vacuum."""
 
     def index_of(self, index: float, wavelength_nm: float) -> float:
-        """Return a catalogue's index of a glass relative to this air.
+        """Convert a glass index from the catalogue's air to this air.
 
         Parameters
         ----------
         index : float
-            Of the glass in the air that the catalogue is measured in.
+            Index of the glass relative to the catalogue's air.
         wavelength_nm : float
-            In a vacuum.
+            Vacuum wavelength.
 
         Returns
         -------

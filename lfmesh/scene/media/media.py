@@ -1,4 +1,4 @@
-"""Media that light passes through in front of the camera: flames, fog, smoke."""
+"""Media in front of the camera: flames, fog, smoke."""
 
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
@@ -21,7 +21,7 @@ class MeshBounds(BodyFile):
     """Kind of shape. Omitted: "mesh", beside `file`."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the file's name and what is said of it."""
+        """Yield faults of the file's name and of its keys."""
         if self.file is None:
             yield Fault(("file",), None, "missing: a closed mesh (STL, OBJ, PLY, OFF, GLB, STEP)")
         else:
@@ -44,17 +44,17 @@ class Grid(Model):
     file: FilePath
     """Grid file, relative to the scene file: `.npz`, `.npy` with one array, or VTK image data, `.vti`. Arrays [x, y, z]
     are named absorption_per_mm, scattering_per_mm, emission_w_mm3_sr or temperature_k. A `.npz` file also has
-    spacing_mm and, if its middle is not the medium's own origin, origin_mm (centre of voxel 0). A `.vti` file is in
-    mm."""
+    spacing_mm and, if the grid is not centred on the medium's origin, origin_mm (centre of voxel 0). A `.vti` file is
+    in mm."""
     quantity: Literal["absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr", "temperature_k"] | None = None
-    """Quantity in the array of a `.npy` file, or in the only one of a `.vti` file."""
+    """Quantity in the array of a `.npy` file, or in the only array of a `.vti` file."""
     spacing_mm: tuple[Positive, Positive, Positive] | None = None
     """Distance between neighbouring voxels along x, y and z, in mm. Omitted: that of the file."""
     origin_mm: Vector | None = None
-    """Centre of voxel [0, 0, 0] in the medium's own frame, in mm. Omitted: that of the file, else the middle lies at
-    the origin."""
+    """Centre of voxel [0, 0, 0] in the medium's own frame, in mm. Omitted: that of the file, else the grid is centred
+    on the origin."""
     interpolation: Literal["trilinear", "constant"] = "trilinear"
-    """Values between the centres of voxels: linear, or constant in each voxel."""
+    """Values between voxel centres: linear, or constant in each voxel."""
 
 
 def _of_path(value: Any) -> Any:
@@ -65,9 +65,9 @@ AnyGrid = Annotated[Grid, BeforeValidator(_of_path, json_schema_input_type=str |
 
 
 class Medium(Model):
-    """Gas, smoke, fog or dye that absorbs, scatters or emits light. Where media overlap, they add.
+    """Gas, smoke, fog or dye that absorbs, scatters or emits light. Overlapping media add up.
 
-    It is in air, or the camera's object medium, or, with `inside`, in one body of glass or liquid; all other bodies
+    It is in air, in the camera's object medium or, with `inside`, in one body of glass or liquid. All other bodies
     displace it.
     """
 
@@ -75,26 +75,26 @@ class Medium(Model):
     """Name of the medium in reports."""
     bounds: AnyBounds | None = None
     """Body that the medium fills, about its own origin: box, sphere, cylinder or closed mesh. Omitted: its grid, else
-    the body it is inside, else all space. All space begins at the first lens vertex, so that the camera looks into it
-    from its edge."""
+    the body it is inside, else all space. All space begins at the first lens vertex: the camera looks into it from its
+    edge."""
     inside: Text | None = None
     """Body of glass or liquid around the medium, by its name in reports: "tanks[0] liquid", or a target with a
     refractor. Omitted: none."""
     grid: AnyGrid | None = None
-    """Voxel grid of quantities that vary in space; a number beside it gives a quantity that the grid lacks."""
+    """Voxel grid of quantities that vary in space; other keys give the quantities that the grid lacks."""
     absorption_per_mm: Coefficient = 0.0
     """Absorption coefficient, in 1/mm; a number, or by wavelength."""
     scattering_per_mm: Coefficient = 0.0
     """Scattering coefficient, in 1/mm; a number, or by wavelength."""
     emission_w_mm3_sr: Radiance = 0.0
-    """Emission of a cubic millimetre in each direction, in W/(mm³ sr). A number holds at each wavelength, or in bands
-    over the whole range that they reach. By wavelength it is in W/(mm³ sr nm), which needs bands."""
+    """Emission of a cubic millimetre in each direction, in W/(mm³ sr). A number applies at each wavelength, or with
+    bands to their whole range. By wavelength it is in W/(mm³ sr nm), which needs bands."""
     spectrum: SpectralShape | None = None
-    """Spectrum of an emission that is a number or a grid, in any unit. Needs bands. Omitted: the same at all
+    """Spectrum of an emission given as a number or a grid, in any unit. Needs bands. Omitted: the same at all
     wavelengths."""
     temperature_k: Kelvin | None = None
     """Temperature, in K, in place of an emission: the medium emits the share of a black body's radiance that it
-    absorbs. That is Planck's and Kirchhoff's law. Needs bands."""
+    absorbs, by Planck's and Kirchhoff's laws. Needs bands."""
     phase: Phase = Field(default_factory=IsotropicPhase)
     """Phase function: distribution of scattered light over directions."""
     position_mm: Vector = (0.0, 0.0, 0.0)
@@ -103,7 +103,7 @@ class Medium(Model):
     """Rotations about x, then y, then z, in degrees."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         for key in ("absorption_per_mm", "scattering_per_mm"):
             yield from coefficient_faults(getattr(self, key), (key,))
         emission = self.emission_w_mm3_sr
@@ -129,15 +129,15 @@ class Medium(Model):
 
     @property
     def may_emit(self) -> bool:
-        """True if it emits light; a grid, whose file says so, may."""
+        """True if it emits light, or has a grid that may."""
         return self.grid is not None or self.temperature_k is not None or self.emission_w_mm3_sr != 0.0
 
     @property
     def may_scatter(self) -> bool:
-        """True if it scatters light; a grid, whose file says so, may."""
+        """True if it scatters light, or has a grid that may."""
         return self.grid is not None or self.scattering_per_mm != 0.0
 
     @property
     def acts(self) -> bool:
-        """True if it does anything to light without a grid."""
+        """True if it affects light without a grid."""
         return bool(self.absorption_per_mm or self.scattering_per_mm or self.emission_w_mm3_sr)

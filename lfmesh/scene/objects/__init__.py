@@ -1,1 +1,1 @@
-"""Targets, bodies of glass and tanks before the camera."""
+"""Targets, glass bodies and tanks in front of the camera."""

@@ -1,4 +1,4 @@
-"""Keys by which a scene takes its targets, its lights and the camera's place from a glTF file, as Blender writes it."""
+"""Keys that take targets, lights and the camera's place from a glTF file, as Blender writes it."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +13,7 @@ ENDINGS = (".glb", ".gltf")
 
 
 class GltfFile(Model):
-    """A glTF file that something is taken from."""
+    """A glTF file that provides a part of the scene."""
 
     file: FilePath
     """GLB or glTF file, relative to the scene file, in the world's axes; its unit is m."""
@@ -25,51 +25,51 @@ class GltfFile(Model):
 
 
 class GltfTargets(GltfFile):
-    """All objects of a glTF file, each a target with its name, materials and place."""
+    """All objects of a glTF file as targets, with their names, materials and places."""
 
 
 class GltfLights(GltfFile):
     """All lights of a glTF file (KHR_lights_punctual)."""
 
     lighting: Literal["standard", "unitless", "raw"] = "standard"
-    """Unit of the file's intensities, by the lighting modes of Blender's exporter. "standard": candela and lux, as glTF
-    has them, at 683 lm/W; "unitless": W/sr and W/m²; "raw": W into all directions and W/m²."""
+    """Unit of the file's intensities, by the lighting modes of Blender's exporter. "standard": candela and lux as in
+    glTF, at 683 lm/W; "unitless": W/sr and W/m²; "raw": W into all directions and W/m²."""
 
 
 class GltfPose(GltfFile):
-    """The place of a camera of a glTF file, whose origin is the entrance pupil."""
+    """The place of a glTF file's camera, with its origin at the entrance pupil."""
 
     camera: NodeKey | None = None
     """Name or number of the camera's node. Omitted: the only camera of the file."""
 
 
 class GltfKeys(Model):
-    """Parts of a scene that are taken from glTF files."""
+    """Parts of a scene taken from glTF files."""
 
     targets: GltfTargets | None = None
-    """In place of the list of targets."""
+    """Replaces the list of targets."""
     lights: GltfLights | None = None
-    """In place of the list of lights."""
+    """Replaces the list of lights."""
     pose: GltfPose | None = None
-    """In place of the pose of the camera."""
+    """Replaces the camera's pose."""
 
 
 def take_keys(data: dict[str, Any], folder: Path) -> tuple[GltfKeys | None, list[str]]:
-    """Take the tables that name a glTF file out of a scene's tables.
+    """Remove the tables that name a glTF file from a scene's tables.
 
     Parameters
     ----------
     data : dict
-        The scene file's tables, which lose them.
+        Tables of the scene file, changed in place.
     folder : Path
-        Where relative paths start.
+        Folder that relative paths start from.
 
     Returns
     -------
     keys : GltfKeys or None
-        None where there are none, or where one is wrong.
+        None if there are none or one is faulty.
     faults : list of str
-        One line a fault.
+        One line per fault.
     """
     camera = data.get("camera")
     places: dict[str, tuple[str, Any]] = {
@@ -92,7 +92,7 @@ def take_keys(data: dict[str, Any], folder: Path) -> tuple[GltfKeys | None, list
 
 
 def or_table(model: type[Model]) -> Callable[[dict[str, Any]], None]:
-    """Return a change of a field's JSON Schema that allows the table of `model` in place of it."""
+    """Return a change to a field's JSON Schema that also allows the table of `model`."""
 
     def widen(schema: dict[str, Any]) -> None:
         told = {key: schema.pop(key) for key in ("title", "description", "default") if key in schema}

@@ -1,4 +1,4 @@
-"""Reader of glTF scenes, which the part that reads such files registers, as readers of lens files are."""
+"""Reader of glTF scenes, registered by the package that holds it."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -7,16 +7,16 @@ from lfmesh.scene.objects.gltf_keys import GltfKeys
 from lfmesh.scene.scene import Scene
 
 Reader = Callable[[Scene, GltfKeys], Scene]
-"""Puts the contents of glTF files into a scene; raises LfmeshError where it cannot."""
+"""Function that puts the contents of glTF files into a scene, or raises LfmeshError."""
 
 _PART = "lfmesh.imports"
-"""Module that registers the reader when it is imported."""
+"""Package that registers the reader on import."""
 
 _readers: list[Reader] = []
 
 
 def register(reader: Reader) -> None:
-    """Read glTF scenes by a function.
+    """Register the function that reads glTF scenes.
 
     Parameters
     ----------

@@ -17,15 +17,15 @@ from lfmesh.scene.quantities import FilePath, Index, NodeKey, Positive, Text
 
 STEP_ENDINGS = (".step", ".stp")
 NODE_ENDINGS = (".glb", ".gltf", *STEP_ENDINGS, ".3mf")
-"""Formats of bodies with names, whose standard fixes the unit of length, or whose files name it."""
+"""Formats with named bodies; either the standard fixes the unit of length or the file names it."""
 UNITS_MISSING = (".stl", ".obj", ".ply", ".off")
-"""Formats that carry no unit."""
+"""Formats without a unit of length."""
 
 WAYS_IN = dict.fromkeys(
     (".iges", ".igs"),
     "is not read: let the CAD program save it as STEP, or as STL or GLB, fine enough for its curves",
 )
-"""Advice for other files of bodies."""
+"""Advice for other CAD formats."""
 
 Units = Literal["um", "mm", "cm", "m", "inch", "foot"]
 FacetLevel = Literal["flat", "smooth", "patch"]
@@ -40,8 +40,8 @@ class BodyFile(Model):
     file: FilePath | None = None
     """Mesh file (STL, OBJ, PLY, OFF, GLB, glTF, STEP, 3MF), relative to the scene file."""
     node: NodeKey | None = None
-    """One object of a GLB, glTF, STEP or 3MF file: name of the node or body, or number of one without a name. It stands
-    where the file places it; nodes below it are not taken along. Omitted: all of the file."""
+    """One object of a GLB, glTF, STEP or 3MF file: name of the node or body, or number of one without a name. It stays
+    where the file places it; child nodes are left out. Omitted: all of the file."""
     units: Units | None = None
     """Unit of length of the mesh file. Omitted: that of the file; STL, OBJ, PLY and OFF files have none."""
     tolerance_mm: Positive | None = None
@@ -49,7 +49,7 @@ class BodyFile(Model):
     diagonal."""
 
     def file_faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the mesh file's name and what is said of it.
+        """Yield faults of the mesh file's name and of its keys.
 
         Returns
         -------
@@ -77,20 +77,19 @@ class MeshShape(BodyFile):
 
     surface: FaceLevel = "exact"
     """Surface behind a facet: flat, flat with smooth normals, a curved patch, or the exact surface of a lens face.
-    "exact": a face of a lens element is the exact surface on which it lies, where that is recognised, and every other
-    facet a patch."""
+    "exact": a recognised face of a lens element is traced as its exact surface, and every other facet as a patch."""
     crease_deg: CreaseAngle | None = None
     """Angle above which facets meet at an edge of the body, in degrees. Below it they meet on a smooth surface with
-    estimated normals. Omitted: as the file's vertex normals say, else estimated. The estimate is a few times the angle
-    at which most of the mesh's curved facets meet."""
+    estimated normals. Omitted: as the file's vertex normals say, else estimated. The estimate is a few times the
+    typical angle between the mesh's curved facets."""
 
     @property
     def facets(self) -> FacetLevel:
-        """Meaning of facets where no exact surface is recognised."""
+        """Meaning of facets without a recognised exact surface."""
         return "patch" if self.surface == "exact" else self.surface
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         if self.file is None:
             yield Fault(
                 ("file",), None, "missing: a mesh file (STL, OBJ, PLY, OFF, GLB, STEP), relative to the scene file"
@@ -109,7 +108,7 @@ class Refractor(MeshShape):
     index: Index | None = None
     """Refractive index. Or give `glass`."""
     glass: Glass | None = None
-    """Glass: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168, vd = 64.17 }."""
+    """Glass: a catalogue name such as "SCHOTT/N-BK7", or a dispersion such as { nd = 1.5168, vd = 64.17 }."""
     absorption_per_mm: Coefficient = 0.0
     """Absorption coefficient in object space, in 1/mm; a number, or by wavelength."""
     coating: Text = UNCOATED
@@ -117,12 +116,12 @@ class Refractor(MeshShape):
     finish: AnyFinish = POLISHED
     """Finish of its whole surface: "polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
     priority: Priority = 0
-    """Rank where bodies in object space overlap: the highest is there, of equal ones the inner. So water that reaches a
-    little into the glass round it touches that everywhere."""
+    """Rank where bodies in object space overlap: the highest prevails; of equal ones, the inner. Water that overlaps
+    slightly with the surrounding glass thus touches it everywhere."""
 
     @property
     def medium(self) -> Medium:
-        """Material of the body: an index or the name of a glass."""
+        """Material of the body: an index or a glass."""
         return self.index if self.index is not None else self.glass or 1.0
 
     @property
@@ -163,7 +162,7 @@ class Refractor(MeshShape):
 
 
 class MeshFace(MeshShape):
-    """One optical face of a body given as a mesh; the axis of the lens is the mesh's z axis."""
+    """One optical face of a mesh body; the lens axis is the mesh's z axis."""
 
     side: Literal["front", "back"]
-    """The face that the axis meets first, coming from the objects, or last."""
+    """Face that the axis meets first, coming from the objects, or last."""

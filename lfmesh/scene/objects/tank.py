@@ -18,7 +18,7 @@ class Wall(Matter):
     """Absorption coefficient, in 1/mm; a number, or by wavelength."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         yield from super().faults()
         yield from coefficient_faults(self.absorption_per_mm, ("absorption_per_mm",))
 
@@ -41,15 +41,15 @@ class Tank(Model):
     liquid: Liquid
     """Liquid inside the walls."""
     open: Side | None = None
-    """Side without a wall: "top" is its own +y, "front" its own +z. The liquid reaches to the end of the other walls
-    there. "front" looks at the camera where the tank is not turned. Omitted: closed."""
+    """Side without a wall: "top" is its own +y, "front" its own +z, towards the camera if the tank is not rotated.
+    There the liquid extends to the end of the other walls. Omitted: closed."""
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Position of its centre, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations about x, then y, then z, in degrees."""
 
     def called(self, number: int) -> str:
-        """Return what the tank is called in reports, by its number in the scene.
+        """Return the tank's name in reports, given its number.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class Tank(Model):
         return self.name or f"tanks[{number}]"
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         for axis, length in enumerate(self.size_mm):
             walls = 1 if OPEN_AXIS.get(self.open) == axis else 2
             if walls * self.wall_mm >= length * (1.0 - THINNEST):
@@ -76,7 +76,7 @@ class Tank(Model):
 
 
 OPEN_AXIS: dict[Side | None, int] = {"top": 1, "front": 2}
-"""The axis at whose positive end a side lies."""
+"""Axis with the open side at its positive end."""
 
 THINNEST = 1e-6
-"""Thickness of liquid between walls, relative to the tank's own, below which there is none."""
+"""Smallest thickness of liquid between walls, relative to the tank's length."""

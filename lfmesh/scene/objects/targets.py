@@ -13,23 +13,23 @@ from lfmesh.scene.objects.shapes import Shape
 from lfmesh.scene.quantities import FilePath, GlossIndex, MetalName, Opacity, Positive, Text, Vector
 
 SMALLEST_ROUGHNESS, LARGEST_ROUGHNESS = 0.01, 1.0
-"""Of a gloss: α_g."""
+"""Limits on the α_g of a gloss."""
 
 
 class Gloss(Model):
-    """A rough boundary that reflects as GGX facets do: of a dielectric layer over the base, or of metal."""
+    """A rough boundary that reflects by GGX facets: of a dielectric layer over the base, or of metal."""
 
     index: GlossIndex | None = None
-    """Refractive index of a dielectric layer over the base. Its transmitted light reaches the base below. Or give
+    """Refractive index of a dielectric layer over the base. Light that it transmits reaches the base. Or give
     `metal`."""
     metal: MetalName | None = None
-    """Metal of the catalogue: a symbol like "Al", or a page like "main/Al/Rakic". No light reaches the base, so that
-    the reflectance and the texture of the material do not count."""
+    """Metal of the catalogue: a symbol like "Al", or a page like "main/Al/Rakic". No light reaches the base, so the
+    material's reflectance and texture have no effect."""
     roughness: Annotated[float, Field(strict=True, ge=SMALLEST_ROUGHNESS, le=LARGEST_ROUGHNESS)]
-    """Walter's α_g, 0.01..1; a glTF roughness r is r². Smoother ones are mirrors, which a target cannot be."""
+    """Walter's α_g, 0.01..1; a glTF roughness r is r². Smoother surfaces are mirrors, which a target cannot be."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         if self.index is None and self.metal is None:
             yield Fault(("index",), None, "missing: give the index of the layer, or metal")
         elif self.index is not None and self.metal is not None:
@@ -40,44 +40,44 @@ class Material(Model):
     """Material of a target: Lambertian reflection, with or without gloss over it, and emission."""
 
     opacity: Opacity = 1.0
-    """Share of the surface that is there, 0..1; "texture_alpha" takes the alpha of the texture. Through the rest light
-    passes straight on. Without a texture it is the alpha of the mesh file's own pictures and colours. A closed body
-    that is not opaque scatters and emits on its inside, too."""
+    """Share of the surface that is there, 0..1; "texture_alpha" takes the alpha of the texture. Light passes straight
+    through the rest. Without a texture, the alpha of the mesh file's own pictures and colours is used. A closed body
+    that is not opaque also scatters and emits on its inside."""
     sides: Literal["both", "front"] = "both"
     """Sides of an open sheet that reflect and emit; the other side is black. "front": the side from which the corners
-    of its facets run counter-clockwise (of a plane or disk, its own +z side). A closed body has its outside only."""
+    of its facets run counter-clockwise (the +z side of a plane or disk). A closed body has only its outside."""
 
     reflectance: Reflectance = 0.8
     """Share of the light that is scattered, by Lambert's law, 0..1; under `gloss`, of the light that reaches the base.
     A number, a table { wavelengths_nm = [...], values = [...] } or a CSV file with the columns wavelength_nm and
     value."""
     gloss: Gloss | None = None
-    """Boundary over the base that also reflects. Omitted: matt."""
+    """Reflecting boundary over the base. Omitted: matt."""
     radiance_w_m2_sr: Radiance = 0.0
-    """Emission of the surface, the same in every direction. A number, in W/(m² sr), holds at each wavelength of
-    `transport.wavelengths_nm`; with bands it is the radiance over the whole range of wavelengths from the first band's
-    beginning to the last one's end, spread evenly or by `spectrum`. With bands also a table, a CSV file or {
-    blackbody_k = ... }, in W/(m² sr nm)."""
+    """Emission of the surface, the same in every direction. A number, in W/(m² sr), applies at each wavelength of
+    `transport.wavelengths_nm`. With bands it is the radiance over the whole range from the start of the first band to
+    the end of the last, spread evenly or by `spectrum`. With bands also a table, a CSV file or { blackbody_k = ... },
+    in W/(m² sr nm)."""
     spectrum: SpectralShape | None = None
-    """Spectrum of a number in `radiance_w_m2_sr`, in any unit; as of lights. An illuminant's name such as "D65", a
+    """Spectrum of a number in `radiance_w_m2_sr`, in any unit; as for lights. An illuminant's name such as "D65", a
     table, a CSV file or { blackbody_k = ... }. Needs bands."""
     temperature_k: Kelvin | None = None
-    """Temperature, in K, in place of a radiance: the surface emits by Planck's law. Its emissivity is 1 less the share
-    that it scatters of light from that direction, gloss, metal and texture included. In a room of its own temperature
+    """Temperature, in K, in place of a radiance: the surface emits by Planck's law. Its emissivity is 1 minus the share
+    that it scatters of light from that direction, including gloss, metal and texture. In a room of its own temperature
     it looks like a black body. The black side of `sides = "front"` emits as a black body. Needs bands."""
     texture: FilePath | None = None
     """Picture, relative to the scene file: its linearised values multiply reflectance and radiance. Under `gloss` they
-    multiply the reflectance of the base alone. It reads correctly from outside the body: on a shape its top lies
-    towards +y (on faces that look along ±y towards ∓z), so its right towards +x on the face towards the camera; mesh
-    files bring their own coordinates."""
+    multiply only the reflectance of the base. It reads correctly from outside the body. On a shape its top lies towards
+    +y (towards ∓z on faces that look along ±y), and its right towards +x on the face towards the camera. Mesh files
+    bring their own coordinates."""
 
     @property
     def emits(self) -> bool:
-        """True if the surface shines by itself."""
+        """True if the surface emits light."""
         return self.temperature_k is not None or self.radiance_w_m2_sr != 0.0
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         yield from reflectance_fault(self.reflectance, ("reflectance",))
         if isinstance(self.radiance_w_m2_sr, Spectrum):
             if self.radiance_w_m2_sr.name is not None:
@@ -105,22 +105,22 @@ class Target(BodyFile):
     shape: Shape | None = None
     """Primitive shape. Or give `file`."""
     materials: Literal["file", "colours", "ignore"] | None = None
-    """Use of a mesh file's own materials: whole, base colours only, or none. "file": those of a glTF file whole, base
-    colour, metallic, roughness and alpha, with their pictures. Then the target has no `material`. "colours": their base
-    colours and the pictures of these alone, which multiply the reflectance and the radiance of `material`. Its own
-    texture replaces them. "ignore": nothing. Omitted: "file" for glTF files without `material`, else "colours".
-    Programs that show glTF files do so, too."""
+    """Use of a mesh file's own materials: whole, base colours only, or none. "file": a glTF file's materials whole
+    (base colour, metallic, roughness and alpha, with their pictures); the target then has no `material`. "colours":
+    only their base colours and the pictures of these, which multiply the reflectance and radiance of `material`; a
+    texture of `material` replaces them. "ignore": nothing. Omitted: "file" for glTF files without `material`, else
+    "colours". Programs that show glTF files do the same."""
     normals: Literal["file", "facets"] = "file"
-    """Normals that shade a mesh file's surface: those at its vertices, interpolated, or of its facets. "file": those at
-    its vertices, where the file has any (OBJ, PLY, GLB, glTF), which makes a mesh look as smooth as it is meant. A ray
-    meets the facets in both cases, which also decide the side and the shadow."""
+    """Normals that shade a mesh file's surface: those at its vertices, interpolated, or of its facets. "file": vertex
+    normals, if the file has any (OBJ, PLY, GLB, glTF), which make a mesh look as smooth as intended. In both cases rays
+    meet the facets, which also determine side and shadow."""
     scale: Positive | None = None
-    """Factor of a mesh file's coordinates, after its own unit. It is 0.001 where a GLB file, which is in metres, was
-    written with numbers that are millimetres. Omitted: 1."""
+    """Factor on a mesh file's coordinates, in addition to its unit. Use 0.001 for a GLB file, defined in metres, that
+    was written with numbers in millimetres. Omitted: 1."""
     anchor: Literal["origin", "centre", "base"] | None = None
     """Point of a mesh file that `position_mm` places: origin, or centre or base of its box. "origin": that of its
-    coordinates. "centre": the middle of the box round it. "base": the middle of the lowest side, towards -y, of the box
-    round the body as `rotation_deg` turns it. Omitted: "origin"."""
+    coordinates. "centre": the centre of its bounding box. "base": the centre of the lowest side, towards -y, of the
+    bounding box of the body as rotated by `rotation_deg`. Omitted: "origin"."""
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Position of the target's own origin, or of its `anchor`, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
@@ -131,7 +131,7 @@ class Target(BodyFile):
     """Closed body of glass, in place of shape or file; it has no material."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between fields."""
         if self.refractor is not None:
             if self.refractor.file is None:
                 yield from self._placing_faults()
@@ -161,13 +161,13 @@ class Target(BodyFile):
             yield from self.file_faults()
 
     def _placing_faults(self) -> Iterator[Fault]:
-        """Yield that keys for the coordinates of mesh files are given for something else."""
+        """Yield coordinate keys of mesh files that are given without one."""
         for key in ("scale", "anchor"):
             if getattr(self, key) is not None:
                 yield Fault((key,), getattr(self, key), "only for a mesh file: a shape is centred, its size in mm")
 
     def _file_faults(self, why: str) -> Iterator[Fault]:
-        """Yield that keys for mesh files are given for something else."""
+        """Yield material and normal keys of mesh files that are given without one."""
         if self.materials is not None:
             yield Fault(("materials",), self.materials, f"only for a mesh file: {why}")
         if self.normals != "file":
@@ -175,5 +175,5 @@ class Target(BodyFile):
 
     @property
     def takes_materials(self) -> bool:
-        """True if a glTF file's materials are taken over whole."""
+        """True if a glTF file's materials are used whole."""
         return self.materials == "file" or (self.materials is None and self.material == Material())

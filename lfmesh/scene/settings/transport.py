@@ -10,35 +10,35 @@ from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import Count, Flag, Positive, Whole
 
 PRIMARY_NM = 587.6
-"""Wavelength of a scene that gives none: the d line of helium."""
+"""Default wavelength of a scene: the d line of helium."""
 
 MOST_EVENTS = 2**15 - 1
-"""Largest count of a packet, in 16 bits."""
+"""Largest event count of a packet, in 16 bits."""
 MOST_THREADS = 1024
 MOST_REPLICATES = 10_000
-"""Each replicate is a pass over all pixels, of at least one sample."""
+"""Maximum number of replicates; each is a pass over all pixels with at least one sample."""
 
 REPLICATES, REPLICATES_OF_IMAGE_PATH = 8, 4
-"""Replicates of a scene that gives none; with split = "transmit" few of many samples, because a replicate's points are
-one Sobol' set."""
+"""Default number of replicates. With split = "transmit" there are fewer, with more samples each, because each replicate
+is one Sobol' set."""
 
 
 def _usual_replicates(before: dict[str, Any]) -> int:
-    """Return the replicates of a scene that gives none, by the fields before."""
+    """Return the default number of replicates, given the preceding fields."""
     return REPLICATES_OF_IMAGE_PATH if before["split"] == "transmit" else REPLICATES
 
 
 class Tessellation(Model):
     """Tessellation of the lens's surfaces.
 
-    Without a tolerance the meshes follow the scene. With `exact` they are as coarse as the smallest gap between two
-    surfaces allows. With the other levels their estimated error at the sensor is below a tenth of a pixel.
+    Without a tolerance the scene determines the meshes. With `exact` they are as coarse as the smallest gap between two
+    surfaces allows; with other levels their estimated error at the sensor is below a tenth of a pixel.
     """
 
     sag_mm: Positive | None = None
     """Largest distance between surface and mesh along the axis, in mm."""
     normal_mrad: Positive | None = None
-    """Largest rms error of the normals that bend the rays, in mrad."""
+    """Largest rms error of the normals that refract the rays, in mrad."""
 
 
 class Transport(Model):
@@ -48,39 +48,40 @@ class Transport(Model):
     """Direction of the tracing: "adjoint" from the sensor to the lights, "forward" from the lights to the sensor."""
     engine: Literal["auto", "mesh", "sequential"] = "auto"
     """Tracer: "mesh" (Embree) takes everything, "sequential" the image path only, "auto" the fastest that supports the
-    scene. "auto" may take the image path with the one and the reflections with the other."""
+    scene. "auto" may split the work: the image path in one, reflections in the other."""
     surface: Literal["flat", "smooth", "patch", "exact"] = "exact"
-    """Surface behind a facet: flat, flat with smooth normals, a curved patch, or the analytic surface. Opaque spheres,
-    cylinders and disks of `[[targets]]` are exact with "exact", else fine meshes."""
+    """Surface behind a facet: flat, flat with smooth normals, a curved patch, or the analytic surface. With "exact",
+    opaque spheres, cylinders and disks of `[[targets]]` are exact too; otherwise they are fine meshes."""
     tessellation: Tessellation = Field(default_factory=Tessellation)
     """Fineness of the lens's meshes."""
     split: Literal["both", "roulette", "transmit"] = "both"
-    """At an interface follow both children, one of them by chance, or the refracted one alone."""
+    """Rays to follow at an interface: both children, one chosen at random, or only the refracted one."""
     samples: Count = 64
-    """Samples per pixel, in all replicates; forward traces samples · pixels packets in all. Rounded up to a multiple of
-    `replicates`."""
+    """Samples per pixel over all replicates; the forward method traces samples · pixels packets. Rounded up to a
+    multiple of `replicates`."""
     replicates: Annotated[Count, Field(le=MOST_REPLICATES)] = Field(default_factory=_usual_replicates)
-    """Independent randomisations that share the samples; their spread is the standard error. With `camera.sensor.bands`
-    more than 8 form 8 independent groups, whose spread it is. Omitted: 8, or 4 with `split = "transmit"`."""
+    """Independent randomisations that share the samples; their spread is the standard error. With
+    `camera.sensor.bands`, more than 8 are combined into 8 independent groups for this. Omitted: 8, or 4 with
+    `split = "transmit"`."""
     target_error: Annotated[Positive, Field(lt=1)] | None = None
-    """Relative standard error (no unit) as the goal of a second stage, which adds samples to noisy pixels. Needs
+    """Target of the relative standard error (no unit) for a second stage, which adds samples to noisy pixels. Needs
     `method = "adjoint"`."""
     max_samples: Count = 4096
-    """Largest number of samples per pixel, in all, with `target_error`."""
+    """Largest total number of samples per pixel with `target_error`."""
     max_events: Annotated[Count, Field(le=MOST_EVENTS)] = 64
-    """Largest number of surfaces that a packet meets before it is cut."""
+    """Largest number of surfaces that a packet meets before it is terminated."""
     polarisation: Flag = False
-    """Stokes vectors through lens, array and glass; coatings are layers. Targets depolarise. Traced by the mesh
+    """Stokes vectors through lens, array and glass; coatings must be layers. Targets depolarise. Traced by the mesh
     engine."""
     diffraction: Literal["none", "lenslets", "stop"] = "none"
-    """Diffraction at each lenslet, or at the stop of a camera without array. "lenslets": light that passes a lenslet
-    turns by chance, by the Fraunhofer pattern of its aperture. Right to some per cent for extended light; not for
-    points, whose waves interfere between lenslets. "stop": at the lens's stop, of cameras without an array, along the
-    image path (split = "transmit"). With either, particles are not traced but pictured by point spreads. Rays that are
-    given are traced without it."""
+    """Diffraction at each lenslet, or at the stop of a camera without array. "lenslets": light that passes a lenslet is
+    deflected at random, by the Fraunhofer pattern of its aperture. This is right to some per cent for extended light,
+    but not for points, whose waves interfere between lenslets. "stop": at the lens's stop, for cameras without an
+    array, along the image path (split = "transmit"). With either, particles are not traced but imaged by point spreads.
+    Rays that you supply are traced without it."""
     weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.3
-    """Share of its starting weight below which a child plays Russian roulette (no unit). A ray that is not aimed at a
-    lenslet weighs far more than one that is; the latter's weight counts."""
+    """Share of its starting weight below which a child plays Russian roulette (no unit). The reference is the weight of
+    a ray aimed at a lenslet; unaimed rays weigh far more."""
     wavelengths_nm: tuple[Annotated[float, Field(strict=True, ge=SHORTEST_NM, le=LONGEST_NM)], ...] = Field(
         default=(PRIMARY_NM,), min_length=1
     )
@@ -88,22 +89,22 @@ class Transport(Model):
     seed: Whole = 0
     """Seed of the random numbers."""
     threads: Annotated[Whole, Field(le=MOST_THREADS)] = 0
-    """Threads; 0: all there are. The result is the same for any number."""
+    """Number of threads; 0: all there are. The result does not depend on it."""
 
     @property
     def samples_each(self) -> int:
-        """Samples of a pixel in each replicate."""
+        """Samples per pixel in each replicate."""
         return -(-self.samples // self.replicates)
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what keeps pixels from being refined, and wavelengths given twice."""
+        """Yield faults that rule out refinement, and duplicate wavelengths."""
         if self.target_error is not None:
             yield from self._unfit_for_refinement(self.target_error)
         if len(set(self.wavelengths_nm)) < len(self.wavelengths_nm):
             yield Fault(("wavelengths_nm",), list(self.wavelengths_nm), "must not hold a wavelength twice")
 
     def _unfit_for_refinement(self, target_error: float) -> Iterator[Fault]:
-        """Yield what keeps pixels from being sampled to a target error."""
+        """Yield settings that rule out a target error."""
         if self.method == "forward":
             yield Fault(
                 ("target_error",),

@@ -1,1 +1,1 @@
-"""The physics of one event: Fresnel's equations, coatings, glass, scattering. Knows no geometry."""
+"""The physics of single events: Fresnel's equations, coatings, glass, scattering; independent of geometry."""

@@ -1,6 +1,6 @@
-"""Proven bounds of heights, slopes and second derivatives: ranges over cells, which are halved until they are narrow.
+"""Proven bounds of heights, slopes and second derivatives, by ranges over cells that are halved until narrow.
 
-A range is a pair of arrays that hold the least and the largest value in each cell (R. E. Moore, R. B. Kearfott and
+A range is a pair of arrays with the smallest and largest value in each cell (R. E. Moore, R. B. Kearfott and
 M. J. Cloud, Introduction to Interval Analysis, 2009).
 """
 
@@ -14,49 +14,48 @@ Array = NDArray[np.float64]
 Range = tuple[Array, Array]
 
 SAG, SLOPE, ACROSS, ALONG, ACROSS_RATE, ALONG_RATE = range(6)
-"""Of a profile z(r): z, z′, z′/r and z″, its second derivatives across the meridian and along it, and their
-derivatives."""
+"""Quantities of a profile z(r): z, z′, the second derivatives across the meridian, z′/r, and along it, z″, and the
+derivatives of these two."""
 
 RATES = {SAG: SLOPE, SLOPE: ALONG, ACROSS: ACROSS_RATE, ALONG: ALONG_RATE}
-"""Derivatives of each by r."""
+"""Derivative of each quantity by r."""
 
 FIRST_CELLS = 64
-"""Cells that a box is divided into before any is left out."""
+"""Number of cells that a box is divided into before any is discarded."""
 
 MOST_CELLS = 1 << 11, 1 << 9
-"""Cells, of one variable and of two, beyond which none is divided further: bounds stay valid, but are wider than was
-asked for."""
+"""Number of cells, for one and for two variables, at which division stops: bounds stay valid but are wider than
+requested."""
 
 HALVINGS = 48
-"""Times that the sides of cells are halved at most: cells then are as small as float64 resolves."""
+"""Maximum number of bisections of a cell's sides, which then reach the resolution of float64."""
 
 NEGLIGIBLE = 0.1
-"""Size of an extreme, over that of the other one, below which it need not be bounded more closely."""
+"""Size of an extreme, relative to the other one, below which its bound may stay wide."""
 
 MOST_OPEN = 1 << 13
-"""Cells beyond which neither `least` nor `first_below` divides any further."""
+"""Number of cells at which `least` and `first_below` stop dividing."""
 
 ROUNDING = 1e-10
-"""Relative margin of each term: more than float64 rounds it by, close to the end of a surface too."""
+"""Relative margin of each term: above the rounding of float64, even close to the end of a surface."""
 
 
 def extremes(ranges_in: Callable[[Array, Array], Range], low: Sequence[float], high: Sequence[float], within: float) \
         -> tuple[float, float]:  # fmt: skip
-    """Return bounds of the least and of the largest value of a function in a box.
+    """Return bounds of the minimum and maximum of a function in a box.
 
     Parameters
     ----------
     ranges_in : callable
-        Returns bounds of the function, (n,) each, in boxes given by two corners, (n, d) each. In a box that is a point
-        they are its values.
+        Returns bounds of the function, (n,) each, in boxes with two corners, (n, d) each; its values at a point.
     low, high : (d,) float
         Corners of the box.
     within : float
-        Largest distance of a bound from the extreme, over its size.
+        Largest relative distance of a bound from the extreme.
     """
 
     def cells_in(lows: Array, highs: Array) -> tuple[Range, Range]:
-        """Return the ranges in cells, and the least and the largest value at two corners of each."""
+        """Return the ranges in cells, and the smaller and larger value at two corners of each."""
         ranges = ranges_in(np.concatenate([lows, lows, highs]), np.concatenate([highs, lows, highs]))
         (least, *leasts), (most, *mosts) = (each.reshape(3, -1) for each in ranges)
         return (least, most), (np.minimum(*leasts), np.maximum(*mosts))
@@ -67,7 +66,7 @@ def extremes(ranges_in: Callable[[Array, Array], Range], low: Sequence[float], h
 def _extremes(
     cells_in: Callable[[Array, Array], tuple[Range, Range]], low: Sequence[float], high: Sequence[float], within: float
 ) -> tuple[float, float]:
-    """Return bounds of the extremes of a function, given its ranges in cells and values that it has in them."""
+    """Return bounds of a function's extremes, given its ranges in cells and attained values."""
     lows, highs = np.array([low], np.float64), np.array([high], np.float64)
     most_cells = MOST_CELLS[(lows < highs).sum() - 1]
     left_out, attained = np.array([np.inf, -np.inf]), np.array([np.inf, -np.inf])
@@ -95,25 +94,25 @@ def least(
     ranges_of: Callable[[Array, Array], Sequence[Range]], low: Sequence[float], high: Sequence[float], enough: float,
     within: float,
 ) -> tuple[float, Array]:  # fmt: skip
-    """Return the least value of a function in a box, and its place.
+    """Return the minimum of a function in a box, and its position.
 
     Parameters
     ----------
     ranges_of : callable
-        Returns bounds of the function, (n,) each, and of its derivatives by each coordinate, in boxes given by two
-        corners, (n, d) each.
+        Returns bounds of the function, (n,) each, and of its partial derivatives, in boxes with two corners, (n, d)
+        each.
     low, high : (d,) float
         Corners of the box.
     enough : float
-        It is not looked for any more closely when no value is below this.
+        The search stops once no value is below this.
     within : float
-        Largest difference of what is returned from the least value that is below `enough`.
+        Largest error of a minimum below `enough`.
     """
     lows, highs, found, place = np.array([low], np.float64), np.array([high], np.float64), np.inf, np.array(high)
     for _ in range(HALVINGS * len(low)):
         lows, highs = _first_cells(lows, highs)
         bounds, (_, values), places, sides = _least_in(ranges_of, lows, highs)
-        # Of several, the outermost.
+        # The outermost of several.
         k = np.lexsort((-places[:, 0], values))[0]
         if values[k] < found:
             found, place = float(values[k]), places[k]
@@ -128,21 +127,21 @@ def first_below(
     ranges_of: Callable[[Array, Array], Sequence[Range]], low: Sequence[float], high: Sequence[float], level: float,
     within: float,
 ) -> float:  # fmt: skip
-    """Return the first coordinate up to which no value of a function in a box is below a level.
+    """Return the smallest first coordinate of a box where a function is below a level, or the box's end.
 
     Parameters
     ----------
     ranges_of, low, high
-        As for `least`.
+        As in `least`.
     level : float
     within : float
-        Largest relative distance from the coordinate at which a value is.
+        Largest relative error of the coordinate.
     """
     lows, highs, first, end = np.array([low], np.float64), np.array([high], np.float64), float(low[0]), float(high[0])
     for _ in range(HALVINGS * len(low)):
         lows, highs = _first_cells(lows, highs)
         bounds, (values, _), places, sides = _least_in(ranges_of, lows, highs, narrows=True)
-        # Below within rounding: no smaller cells would tell.
+        # Within rounding, smaller cells would not help.
         end = float(np.min(places[values < level, 0], initial=end))
         left = (bounds < level) & (lows[:, 0] < end)
         if not left.any():
@@ -161,18 +160,18 @@ def first_below(
 def _least_in(
     ranges_of: Callable[[Array, Array], Sequence[Range]], lows: Array, highs: Array, narrows: bool = False
 ) -> tuple[Array, Range, Array, NDArray[np.intp]]:
-    """Return lower bounds of a function in cells, ranges of its values at places in them, these, and sides to halve.
+    """Return lower bounds of a function in cells, ranges of its values at points, the points, and the sides to halve.
 
-    A value is least on the side of a cell towards which the function falls all through it. Along its other coordinates
-    the function falls from the middle by half the side times its largest derivative at most (mean value form).
+    Along a monotonic coordinate, the point lies on the cell's side with the smaller value. Otherwise the function falls
+    from the middle by at most half the side times its largest derivative (mean value form).
 
     Parameters
     ----------
     ranges_of
-        As for `least`.
+        As in `least`.
     lows, highs : (n, d) float64
     narrows : bool
-        The first side is to become short, too, where the function rises or falls all along it.
+        Shorten the first side even if the function is monotonic along it.
     """
     values, *rates = ranges_of(lows, highs)
     least_rate, most_rate = (np.stack([rate[end] for rate in rates], axis=-1) for end in (0, 1))
@@ -182,7 +181,7 @@ def _least_in(
     with np.errstate(invalid="ignore"):
         changes = 0.5 * (highs - lows) * np.maximum(-least_rate, most_rate)
         off = np.where(rises | falls, 0.0, changes)
-        # NaN where a derivative has no bound.
+        # NaN if a derivative is unbounded.
         bounds = np.fmax(values[0], low - off.sum(axis=-1))
     if narrows:
         off[:, 0] = changes[:, 0]
@@ -192,14 +191,14 @@ def _least_in(
 
 
 def _first_cells(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return boxes halved until they are `FIRST_CELLS` or more."""
+    """Halve boxes until there are at least `FIRST_CELLS`."""
     while len(low) < FIRST_CELLS and (low < high).any():
         low, high = _halved(low, high)
     return low, high
 
 
 def _halved(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the halves of boxes along all their sides; a side without length stays as it is."""
+    """Halve boxes along all sides of nonzero length."""
     for side in np.flatnonzero((low < high).any(axis=0)):
         middle = 0.5 * (low[:, side] + high[:, side])
         low, high = np.concatenate([low, low]), np.concatenate([high, high])
@@ -208,7 +207,7 @@ def _halved(low: Array, high: Array) -> tuple[Array, Array]:
 
 
 def _halved_along(sides: NDArray[np.intp], low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the halves of boxes along one side of each."""
+    """Halve each box along one side."""
     rows = np.arange(len(low))
     middle = 0.5 * (low + high)[rows, sides]
     low, high = np.concatenate([low, low]), np.concatenate([high, high])
@@ -222,25 +221,25 @@ def times(*factors: Range) -> Range:
     for other in factors[1:]:
         with np.errstate(invalid="ignore"):
             corners = np.stack(np.broadcast_arrays(*(a * b for a, b in product((low, high), other))))
-        # A factor that may vanish, by one without a bound.
+        # A factor that may vanish times an unbounded one.
         corners[np.isnan(corners)] = 0.0
         low, high = corners.min(axis=0), corners.max(axis=0)
     return low, high
 
 
 def plus(*terms: Range) -> Range:
-    """Return the ranges of sums of independent terms, with a margin for rounding; without bounds where unknown."""
+    """Return the ranges of sums of independent terms, with a margin for rounding; unbounded where unknown."""
     with np.errstate(invalid="ignore"):
         low, high = (
             np.asarray(sum(term[end] + sense * ROUNDING * np.abs(term[end]) for term in terms))
             for end, sense in ((0, -1.0), (1, 1.0))
         )
-    # Of terms without a bound on the side in question.
+    # Terms unbounded on the side concerned.
     return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
 
 
 def scaled(factor: float, each: Range) -> Range:
-    """Return the ranges of a constant times something."""
+    """Return ranges multiplied by a constant."""
     return (factor * each[0], factor * each[1]) if factor >= 0.0 else (factor * each[1], factor * each[0])
 
 
@@ -251,26 +250,26 @@ def squared(each: Range) -> Range:
 
 
 def quotient(each: Range, divisor: Range) -> Range:
-    """Return the ranges of quotients; without bounds where the divisor may vanish."""
+    """Return the ranges of quotients; unbounded where the divisor may vanish."""
     divides = (divisor[0] > 0.0) | (divisor[1] < 0.0)
     low, high = times(each, (1.0 / np.where(divides, divisor[1], 1.0), 1.0 / np.where(divides, divisor[0], 1.0)))
     return np.where(divides, low, -np.inf), np.where(divides, high, np.inf)
 
 
 def overlap(one: Range, other: Range) -> Range:
-    """Return what two ranges of the same have in common; NaN is no bound."""
+    """Return the intersection of two ranges of the same quantity; NaN is no bound."""
     return np.fmax(one[0], other[0]), np.fmin(one[1], other[1])
 
 
 def known_where(known: NDArray[np.bool_], each: Sequence[Array]) -> Range:
-    """Return ranges, without bounds where they are not known."""
+    """Return ranges, unbounded where they are unknown."""
     return np.where(known, each[0], -np.inf), np.where(known, each[1], np.inf)
 
 
 def profile_range(curvature: Range, conic: float, powers: Sequence[tuple[int, float]], r: Range, order: int) -> Range:
-    """Return the ranges of the sag of a profile, or of one of its derivatives, over intervals of the radius.
+    """Return the ranges of a profile's sag, or of one of its derivatives, over intervals of the radius.
 
-    Each term is monotone in the radius. The sag and the slope of the conic grow with its curvature, too.
+    Each term is monotonic in the radius. The sag and slope of the conic also grow with its curvature.
 
     Parameters
     ----------
@@ -321,15 +320,15 @@ def profile_range(curvature: Range, conic: float, powers: Sequence[tuple[int, fl
 def meridian_ranges(
     curvature: float, conic: float, powers: Sequence[tuple[int, float]], height: Range
 ) -> tuple[Range, Range, Range]:
-    """Return bounds of the sag of a profile at heights of either sign, and of its first and second derivative.
+    """Return bounds of a profile's sag at heights of either sign, and of its first and second derivative.
 
     Parameters
     ----------
     curvature : float, 1/mm
     conic, powers
-        As for `profile_range`.
+        As in `profile_range`.
     height : (n,) float64 each, mm
-        Without bounds, so are the results.
+        Unbounded heights give unbounded results.
     """
     known = np.isfinite(height[0]) & np.isfinite(height[1])
     crosses = (height[0] < 0.0) & (height[1] > 0.0)
@@ -350,24 +349,24 @@ def profile_extremes(
     curvatures: Sequence[float], conic: float, powers: Sequence[tuple[int, float]], radius: float,
     orders: Sequence[int], within: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return bounds of the least and of the largest value, inside a radius, of the sag of a profile or of derivatives.
+    """Return bounds of the minimum and maximum, inside a radius, of a profile's sag or of its derivatives.
 
     Parameters
     ----------
     curvatures : (2,) float, 1/mm
-        Of one sign: all between are looked at.
+        Limits of a range of curvatures of one sign.
     conic, powers
-        As for `profile_range`.
+        As in `profile_range`.
     radius : float, mm
-        The profile must not end before.
+        The profile must reach it.
     orders : sequence of int
-        Of SAG, SLOPE, ACROSS and ALONG: those whose extremes are sought.
+        Of SAG, SLOPE, ACROSS and ALONG.
     within : float
-        See `extremes`.
+        As in `extremes`.
     """
 
     def cells_in(low: Array, high: Array) -> tuple[Range, Range]:
-        """Return the ranges in cells, closer by their derivatives, and the least and the largest value at the ends."""
+        """Return the ranges in cells, narrowed by their derivatives, and the smaller and larger value at the ends."""
         (inner, outer), curvature = (low[:, 0], high[:, 0]), (low[:, 1], high[:, 1])
         cells, values = [], []
         for order in orders:
@@ -390,9 +389,9 @@ def profile_extremes(
 
 
 def _between_ends(at_inner: Array, at_outer: Array, least_rate: Array, most_rate: Array, length: Array) -> Array:
-    """Return lower bounds of a function between two places, by its values there and the range of its derivative.
+    """Return lower bounds of a function between two points, from its values there and its derivative's range.
 
-    It is nowhere below the two lines of the least and the largest slope through its ends. NaN: no bound.
+    It lies above the lines through its ends with the extreme slopes. NaN if unbounded.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         cross = (at_inner - at_outer + most_rate * length) / (most_rate - least_rate)

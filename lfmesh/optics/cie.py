@@ -1,6 +1,6 @@
 """The CIE's standard observer and illuminants, and Planck's law.
 
-Tables are those of CIE 15:2018 (Colorimetry, 4th edition), in the files beside this one.
+Tables are from CIE 15:2018 (Colorimetry, 4th edition), in the files beside this one.
 """
 
 from functools import cache
@@ -14,16 +14,16 @@ Array = NDArray[np.float64]
 PLANCK_J_S = 6.62607015e-34
 SPEED_OF_LIGHT_M_S = 299792458.0
 BOLTZMANN_J_K = 1.380649e-23
-"""SI, exact."""
+"""Exact SI values."""
 
 _HERE = Path(__file__).parent
 
 _A_RANGE_NM = np.arange(300.0, 831.0)
 _A_SECOND_CONSTANT_NM = 1.435e7 / 2848.0
-"""Over the temperature: of the definition of illuminant A, which keeps the radiation constant of 1931."""
+"""c₂ / T in the definition of illuminant A, which keeps the radiation constant of 1931."""
 
 _E_RANGE_NM = (100.0, 20000.0)
-"""Every wavelength that a scene may have."""
+"""All wavelengths that a scene may have."""
 
 NAMED = (
     "A", "D50", "D55", "D65", "D75", "E", "FL2", "FL7", "FL11",
@@ -33,7 +33,7 @@ NAMED = (
 
 
 def observer(wavelength_nm: ArrayLike) -> Array:
-    """Return the colour-matching functions of the CIE 1931 observer (2°), linear between whole nanometres.
+    """Return the CIE 1931 colour-matching functions (2°), linear between whole nanometres.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def named_spectrum(name: str) -> tuple[Array, Array]:
     Returns
     -------
     wavelengths_nm, values : (n,) float64
-        To be interpolated linearly; nothing is known outside.
+        For linear interpolation; unknown outside.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def planck_radiance(wavelength_nm: ArrayLike, temperature_k: float) -> Array:
 
 
 def planck_constants(wavelength_nm: ArrayLike) -> tuple[Array, Array]:
-    """Return c₁ in W/(m² sr nm) and c₂ in K of Planck's law, c₁ / (exp(c₂ / T) − 1), at some wavelengths.
+    """Return c₁ in W/(m² sr nm) and c₂ in K of Planck's law, c₁ / (exp(c₂ / T) − 1), at given wavelengths.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def planck_constants(wavelength_nm: ArrayLike) -> tuple[Array, Array]:
 
 @cache
 def _read(name: str) -> Array:
-    """Return a table of this folder; NaN where a cell is empty."""
+    """Return a table in this folder; NaN for empty cells."""
     table = np.genfromtxt(_HERE / name, delimiter=",", skip_header=2, dtype=np.float64)
     table.setflags(write=False)
     return table

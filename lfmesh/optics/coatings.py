@@ -1,10 +1,9 @@
 """Thin-film coatings: reflectance and transmittance of a stack of plane layers between two media.
 
-The fields at the front of the stack follow from those at its back by one characteristic matrix for each layer (Born &
-Wolf, Principles of Optics, 1.6.2; with absorption and total reflection Byrnes, arXiv 1603.02720). Fields vary as
-exp(−iωt), so that an absorbing layer has the index n + ik, k > 0. Every matrix is divided by the growth of the field in
-its layer, so that thick absorbing and evanescent layers neither overflow nor lose digits. The media on both sides are
-transparent.
+The fields at the front of the stack follow from those at its back by one characteristic matrix per layer (Born & Wolf,
+Principles of Optics, 1.6.2; for absorption and total reflection Byrnes, arXiv 1603.02720). Fields vary as exp(−iωt), so
+an absorbing layer has the index n + ik, k > 0. Every matrix is divided by the field's growth in its layer, so thick
+absorbing and evanescent layers neither overflow nor lose digits. The media on both sides are transparent.
 """
 
 from dataclasses import dataclass
@@ -19,12 +18,12 @@ S, P = 0, 1
 """Polarisation: electric field perpendicular to the plane of incidence, or in it."""
 
 _SMALL_PHASE = 1e-3
-"""Phase below which sin δ / δ is taken from its series, whose next term is then below 1e-18."""
+"""Phase below which sin δ / δ is taken from its series, with an error below 1e-18."""
 
 
 @dataclass(frozen=True)
 class Stack:
-    """Layers at one wavelength, in the order in which light meets them.
+    """Layers at one wavelength, in the order of the light.
 
     Attributes
     ----------
@@ -43,7 +42,7 @@ class Stack:
 
     @property
     def reversed(self) -> "Stack":
-        """The same layers as light meets them from the other side."""
+        """The same layers as seen from the other side."""
         return Stack(self.indices[::-1], self.thicknesses_nm[::-1])
 
 
@@ -53,17 +52,17 @@ def coated(n_i: float, n_t: float, stack: Stack, wavelength_nm: float, cos_i: Ar
     Parameters
     ----------
     n_i, n_t : float
-        Refractive index of the media before and behind the stack.
+        Refractive indices before and behind the stack.
     stack : Stack
     wavelength_nm : float
-        In air, which all indices are relative to.
+        In air, the reference of all indices.
     cos_i : (n,) float64
-        Cosine of the angle of incidence, above 0.
+        Cosine of incidence, above 0.
 
     Returns
     -------
     R, T : (n,) float64
-        Shares of the power, each computed from its amplitudes. Under total reflection T is 0.
+        Fractions of the power, each from its amplitudes; T is 0 under total reflection.
     """
     cos_i = np.atleast_1d(np.asarray(cos_i, dtype=np.float64))
     k_i = n_i * cos_i
@@ -71,12 +70,12 @@ def coated(n_i: float, n_t: float, stack: Stack, wavelength_nm: float, cos_i: Ar
 
 
 def beyond(n_i: float, n_t: float, k_i: Array) -> ComplexArray:
-    """Return the normal component behind an interface of a wave vector, from that before it, both over 2π / λ.
+    """Return the normal component of a wave vector behind an interface, over 2π / λ.
 
     Parameters
     ----------
     n_i, n_t : float
-        Refractive index before and behind the interface.
+        Indices before and behind the interface.
     k_i : (n,) float64
         Normal component before it.
     """
@@ -87,16 +86,16 @@ def beyond(n_i: float, n_t: float, k_i: Array) -> ComplexArray:
 def between(
     n_i: float, n_t: float, stack: Stack, wavelength_nm: float, k_i: Array, k_t: ComplexArray
 ) -> tuple[Array, Array]:
-    """Return reflectance and transmittance as `coated` does, by the normal components of the wave vectors.
+    """Return reflectance and transmittance as in `coated`, from the normal components of the wave vectors.
 
-    Close to the critical angle these say more than the angle does.
+    Near the critical angle these are more precise than the angle.
 
     Parameters
     ----------
     k_i : (n,) float64
         Normal component of the incident wave vector, over 2π / λ: n_i cos θ_i.
     k_t : (n,) complex128
-        Of the transmitted one; imaginary under total reflection.
+        That of the transmitted one; imaginary under total reflection.
     """
     shares = [polarised(n_i, n_t, stack, wavelength_nm, k_i, k_t, polarisation) for polarisation in (S, P)]
     R, T = np.mean(shares, axis=0)
@@ -106,25 +105,25 @@ def between(
 def polarised(
     n_i: float, n_t: float, stack: Stack, wavelength_nm: float, k_i: Array, k_t: ComplexArray, polarisation: int
 ) -> tuple[Array, Array]:
-    """Return reflectance and transmittance for light of one polarisation, `S` or `P`, as `between` does.
+    """Return reflectance and transmittance as in `between`, for one polarisation.
 
     Parameters
     ----------
     n_i, n_t, stack, wavelength_nm
-        As for `between`.
+        As in `between`.
     k_i, k_t : (n,)
-        Normal components of the wave vector before and behind the stack, over 2π / λ.
+        Normal components before and behind the stack, over 2π / λ.
     polarisation : int
         `S` or `P`.
     """
 
     def admittance(k: ComplexArray, index: complex) -> ComplexArray:
-        # Of the magnetic field over the electric for s, of the electric over the magnetic for p.
+        # Magnetic over electric field for s, electric over magnetic for p.
         return k / (index * index) if polarisation == P else k
 
     tangential2 = n_i * n_i - k_i * k_i
     in_front, behind = admittance(k_i.astype(np.complex128), n_i), admittance(k_t, n_t)
-    # Tangential fields at the back of the stack: one of them 1, the other the admittance of the medium behind.
+    # Tangential fields at the back of the stack: 1, and the admittance of the medium behind.
     first, second = np.ones_like(in_front), behind
     growth = np.zeros(len(k_i))
     for index, thickness in zip(reversed(stack.indices), reversed(stack.thicknesses_nm), strict=True):
@@ -139,7 +138,7 @@ def polarised(
         first, second = cosine * first - 1.0j * over * second, cosine * second - 1.0j * times * first
         growth += phase.imag
     reflected, sum_ = in_front * first - second, in_front * first + second
-    # Along an interface without a step of the index both fields vanish; light near it passes undivided.
+    # Along an interface between equal indices both fields vanish; nearby light passes undivided.
     nothing = sum_ == 0.0
     size2 = np.where(nothing, 1.0, np.abs(sum_) ** 2)
     R = np.abs(reflected) ** 2 / size2
@@ -148,7 +147,7 @@ def polarised(
 
 
 def _scaled(phase: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Return cos δ, sin δ and sin δ / δ of phases with an imaginary part of at least 0, each over exp(Im δ)."""
+    """Return cos δ, sin δ and sin δ / δ of phases with Im δ ≥ 0, each over exp(Im δ)."""
     along, back = np.exp(1.0j * phase.real - 2.0 * phase.imag), np.exp(-1.0j * phase.real)
     cosine, sine = 0.5 * (along + back), -0.5j * (along - back)
     small = np.abs(phase) < _SMALL_PHASE

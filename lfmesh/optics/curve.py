@@ -1,4 +1,4 @@
-"""Curves over the wavelength: tables that are linear between their wavelengths, and nothing outside."""
+"""Curves over wavelength: tables with linear interpolation, undefined outside."""
 
 import csv
 import math
@@ -16,7 +16,7 @@ from lfmesh.regular_file import read_text
 Array = NDArray[np.float64]
 
 SHORTEST_NM, LONGEST_NM = 100.0, 20000.0
-"""Ends of the wavelengths that a scene may have."""
+"""Limits on the wavelengths of a scene."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,27 +40,27 @@ class Curve:
         return float(self.wavelengths_nm[0]), float(self.wavelengths_nm[-1])
 
     def at(self, wavelength_nm: ArrayLike) -> Array:
-        """Return the values at some wavelengths of the table's range."""
+        """Return the values at wavelengths within the table's range."""
         return np.asarray(np.interp(np.asarray(wavelength_nm), self.wavelengths_nm, self.values))
 
     def holds(self, first_nm: float, last_nm: float) -> bool:
-        """Tell whether the table reaches from one wavelength to another, rounding apart."""
+        """Tell whether the table covers a range of wavelengths, within rounding."""
         first, last = self.ends_nm
         return first <= first_nm * (1.0 + 1e-9) and last_nm * (1.0 - 1e-9) <= last
 
     def integral(self, first_nm: float, last_nm: float) -> float:
-        """Return the integral between two wavelengths of the table's range, in nm times the unit of the values."""
+        """Return the integral between two wavelengths, in nm times the unit of the values."""
         w = self.wavelengths_nm
         nodes = np.concatenate([[first_nm], w[(w > first_nm) & (w < last_nm)], [last_nm]])
         return float(np.trapezoid(self.at(nodes), nodes))
 
     def integrals(self, edges_nm: Array, other: "Curve | None" = None) -> Array:
-        """Return the integrals over intervals, (n,), of the curve or of its product with another.
+        """Return the integrals of the curve, or of its product with another, over intervals, (n,).
 
         Parameters
         ----------
         edges_nm : (n + 1,) float64, nm
-            Ends of the intervals, increasing, within the curve.
+            Edges of the intervals, increasing, within the curve.
         other : Curve, optional
         """
         curves = (self,) if other is None else (self, other)
@@ -78,7 +78,7 @@ class Curve:
 
     @cached_property
     def area_nm(self) -> float:
-        """Integral of all of the curve, in nm times the unit of the values."""
+        """Integral of the whole curve, in nm times the unit of the values."""
         return float(self._cumulative[-1])
 
     @cached_property
@@ -86,7 +86,7 @@ class Curve:
         """Mean wavelength, weighted by the values, nm."""
         a, b = self.wavelengths_nm[:-1], self.wavelengths_nm[1:]
         p, q = self.values[:-1], self.values[1:]
-        # The integral of w times a line over a piece.
+        # The integral over an interval of w times a line.
         moments = (b - a) * (p * (2.0 * a + b) + q * (a + 2.0 * b)) / 6.0
         return float(moments.sum() / self.area_nm)
 
@@ -96,7 +96,7 @@ class Curve:
         return np.concatenate([[0.0], np.cumsum(pieces)])
 
     def quantile_nm(self, share: ArrayLike) -> Array:
-        """Return the wavelengths below which some shares of the curve's integral lie, from shares in [0, 1]."""
+        """Return the wavelengths at fractions, in [0, 1], of the cumulative integral."""
         wanted = np.asarray(share, dtype=np.float64) * self.area_nm
         piece = np.clip(np.searchsorted(self._cumulative, wanted, side="right") - 1, 0, len(self.values) - 2)
         left, width = self.wavelengths_nm[piece], np.diff(self.wavelengths_nm)[piece]
@@ -114,11 +114,11 @@ def gaussian(center_nm: float, fwhm_nm: float, first_nm: float, last_nm: float, 
     Parameters
     ----------
     center_nm, fwhm_nm : float, nm
-        Wavelength of the peak, and full width at half maximum.
+        Peak wavelength, and full width at half maximum.
     first_nm, last_nm : float, nm
         Ends of the table.
     pieces : int
-        Of the table. Over three full widths 2048 are within 2e-6 of the Gaussian.
+        Intervals; 2048 over three full widths give an error below 2e-6.
     """
     w = np.linspace(first_nm, last_nm, pieces + 1)
     return Curve(w, np.exp2(-((2.0 * (w - center_nm) / fwhm_nm) ** 2)))
@@ -130,16 +130,16 @@ def read_curve(path: Path, column: str, most: float = math.inf) -> Curve:
     Parameters
     ----------
     path : Path
-        CSV with the columns wavelength_nm and `column`, in this or the other order, by increasing wavelength.
+        CSV with the columns wavelength_nm and `column`, in either order, by increasing wavelength.
     column : str
         Name of the values.
     most : float
-        Largest value that is valid.
+        Largest valid value.
 
     Raises
     ------
     FileError
-        It cannot be read, or a number is missing or not valid.
+        The file cannot be read, or a number is missing or invalid.
     """
     try:
         text = read_text(path)
@@ -167,13 +167,13 @@ def read_curve(path: Path, column: str, most: float = math.inf) -> Curve:
 
 
 def curve_fault(wavelengths_nm: Sequence[float], values: Sequence[float], most: float = math.inf) -> str | None:
-    """Return what keeps a table from being a curve; None if it is one.
+    """Return the reason why a table is not a curve, or None if it is one.
 
     Parameters
     ----------
     wavelengths_nm, values : sequence of float
     most : float
-        Largest value that is valid.
+        Largest valid value.
     """
     if len(wavelengths_nm) != len(values):
         return f"{len(wavelengths_nm)} wavelengths and {len(values)} values; each wavelength needs one value"

@@ -2,16 +2,16 @@
 
 Behind an aperture of area A, light of wavelength λ in air changes its direction cosines by k with the density
 |∫ exp(−2πi k·r/λ) d²r|² / (λ² A), the power spectrum of the aperture (Goodman, Introduction to Fourier Optics, 4.2, in
-direction cosines as in Harvey, Appl. Opt. 18, 1979). It depends on the difference of two directions alone, so that it
-is the same both ways. In q = k/λ, cycles a mm:
+direction cosines as in Harvey, Appl. Opt. 18, 1979). It depends only on the difference of the two directions, so it is
+reciprocal. In q = k/λ, cycles per mm:
 
-- A rectangle: the product over its sides of w sinc²(w q), with sinc x = sin πx / πx.
-- A circle of diameter D: Airy's pattern, within x = D |q| of which lies 1 − J₀²(πx) − J₁²(πx) of the light (Rayleigh).
-- A hexagon is made of three rhombi. Its spectrum is at most three times the sum of theirs (Cauchy-Schwarz inequality),
-  each a product of sinc² along the rhombus's sides: rejection from that is exact.
+- Rectangle: the product over its sides of w sinc²(w q), with sinc x = sin πx / πx.
+- Circle of diameter D: Airy's pattern, with 1 − J₀²(πx) − J₁²(πx) of the light within x = D |q| (Rayleigh).
+- Hexagon: three rhombi. Its spectrum is at most three times the sum of theirs (Cauchy-Schwarz inequality), each a
+  product of sinc² along the sides, so rejection from that sum is exact.
 
-So distances of two densities are drawn, sinc² and Airy's: from a table up to `_BODY`, by rejection beyond. Of a
-hexagon's frequencies those within `_HALF_SIDE` are drawn from a table of cells, the others by rejection.
+Distances with the densities sinc² and Airy's come from a table up to `_BODY`, a hexagon's frequencies from a table of
+cells up to `_HALF_SIDE`, and all beyond from rejection.
 """
 
 from functools import cache
@@ -26,29 +26,29 @@ RECTANGLE, HEXAGON, ROUND = range(3)
 """Shapes of apertures."""
 
 PARTS = 4096
-"""Equal parts of the chances of a distance, see `sinc2_quantiles`."""
+"""Number of equal parts of the cumulative probability of a distance; see `sinc2_quantiles`."""
 
 _BODY = 4.0
-"""Distance from 0 up to which numbers come from the table."""
+"""Distance up to which samples come from the table."""
 
 _HALF_SIDE, _CELLS = 6, 192
-"""Half the side of the square of a hexagon's frequencies that has a table, and the cells of the table along that."""
+"""Half side of the square of a hexagon's tabulated frequencies, and number of cells along it."""
 
 NEAR_SHARE = 0.925
-"""Share of the light within a distance that is less than a quarter of `_HALF_SIDE`. Of a hexagon's frequency beyond the
-table of cells one of the three products with the sides, whose sum is 0, is at least half of `_HALF_SIDE`. So one of any
-two of them is at least a quarter."""
+"""Lower bound on the fraction of light within a quarter of `_HALF_SIDE`. A hexagon's frequency has three products with
+the sides, which sum to 0. Beyond the table of cells one product is at least half of `_HALF_SIDE`, so of any two of
+them, one is at least a quarter."""
 
 _SIDE_X, _SIDE_Y = (0.0, -0.5, 0.5), (1.0 / np.sqrt(3.0), -0.5 / np.sqrt(3.0), -0.5 / np.sqrt(3.0))
-"""Every second corner of a hexagon whose sides stand 1 apart, two of them across x: the sides of its three rhombi."""
+"""Every second corner of a hexagon with opposite sides 1 apart, two of them across x: the sides of its rhombi."""
 
 
 @cache
 def sinc2_quantiles() -> NDArray[np.float64]:
-    """Return the distances within which a number of density sinc² lies with chances 0, 1/N, 2/N, ...; N is `PARTS`.
+    """Return the quantiles 0, 1/N, 2/N, ... of a distance of density sinc² with N = `PARTS`, up to the last in `_BODY`.
 
-    The last of them is the last below `_BODY`. Within x lies 2/π (Si(2πx) − sin²(πx) / πx). Read as even between them,
-    the density puts a share within any x that is wrong by 1.2·10⁻⁴ at most, beside its zeros.
+    The fraction within x is 2/π (Si(2πx) − sin²(πx) / πx). Constant density between quantiles makes it wrong by at most
+    1.2·10⁻⁴, except at the zeros.
     """
     from scipy.special import sici
 
@@ -58,7 +58,7 @@ def sinc2_quantiles() -> NDArray[np.float64]:
 
 @cache
 def airy_quantiles() -> NDArray[np.float64]:
-    """Return the same of the distance from the middle of Airy's pattern, in λ over the diameter."""
+    """Return the same quantiles for the radius in Airy's pattern, in λ over the diameter."""
     from scipy.special import j0, j1
 
     x = np.pi * _distances()
@@ -67,17 +67,16 @@ def airy_quantiles() -> NDArray[np.float64]:
 
 @cache
 def hexagon_cells() -> NDArray[np.float32]:
-    """Return a table that draws the cells of a quarter of the unit hexagon's spectrum, and last what lies beyond them.
+    """Return an alias table that samples cells of a quarter of the unit hexagon's spectrum; its last row is the rest.
 
-    Row i says which of two numbers is drawn where a random number falls into part i of as many equal ones: i if it is
-    within the first share of the part, and another one beyond (Walker, ACM Trans. Math. Softw. 3, 1977; Vose, IEEE
-    Trans. Softw. Eng. 17, 1991). Read as even in each cell, the density puts a share within any distance, along or
-    across the sides, that is wrong by 3.5·10⁻⁴ at most.
+    A random number in part i of as many equal parts as rows yields i within the first fraction of the part, else row
+    i's other number (Walker, ACM Trans. Math. Softw. 3, 1977; Vose, IEEE Trans. Softw. Eng. 17, 1991). With constant
+    density per cell, the share of light within any distance along or across the sides is wrong by at most 3.5·10⁻⁴.
 
     Returns
     -------
     (`_CELLS`² + 1, 2) float32
-        That share, and the other number: as few bytes as possible, as they are read at random.
+        That fraction, and the other number; compact for random access.
     """
     chances = np.zeros(_CELLS * _CELLS + 1)
     nodes, weights = gauss_legendre(3)
@@ -91,15 +90,15 @@ def hexagon_cells() -> NDArray[np.float32]:
         parts[many] -= 1.0 - parts[few]
         if parts[many] < 1.0:
             short.append(long.pop())
-    # What is left of either has 1, but for rounding.
+    # The remaining ones have 1, within rounding.
     parts[short + long] = 1.0
     return np.stack([parts, others], axis=1).astype(np.float32)
 
 
 @kernel
 def _add_cells(nodes: NDArray[np.float64], weights: NDArray[np.float64], chances: NDArray[np.float64]) -> None:
-    """Add the integral of a hexagon's density over each cell, and over those that mirror it, by Gaussian quadrature."""
-    # Of the spectrum 1 in the middle; a hexagon has the area √3/2.
+    """Add the integral of a hexagon's density over each cell and its mirror images, by Gaussian quadrature."""
+    # The spectrum is 1 at the centre; the hexagon's area is √3/2.
     side = _HALF_SIDE / _CELLS
     scale = 4.0 * 0.5 * np.sqrt(3.0) * 0.25 * side * side
     for row in range(_CELLS):
@@ -115,22 +114,22 @@ def _distances() -> NDArray[np.float64]:
 
 
 def _quantiles(within: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the quantiles of a distance by the shares within `_distances`."""
+    """Return the quantiles of a distance from the fractions within `_distances`."""
     return np.interp(np.arange(int(PARTS * within[-1]) + 1) / PARTS, within, _distances())
 
 
 @inlined
 def distance_in_body(quantiles: NDArray[np.float64], share: float) -> tuple[bool, float]:
-    """Return whether the distance within which a share of the light lies is in the table, and it; else the table's end.
+    """Return whether a quantile is in the table, and its distance; else the table's end.
 
-    Between two quantiles the density is taken to be even.
+    The density is constant between quantiles.
 
     Parameters
     ----------
     quantiles : (n,) float64
         From `sinc2_quantiles` or `airy_quantiles`.
     share : float
-        Random number, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     place, last = PARTS * share, len(quantiles) - 1
     part = int(place)
@@ -141,20 +140,20 @@ def distance_in_body(quantiles: NDArray[np.float64], share: float) -> tuple[bool
 
 @kernel
 def proposed_in_tail(shape: int, end: float, u: float, v: float) -> tuple[bool, float]:
-    """Return whether a distance proposed beyond the table is accepted, and the distance.
+    """Propose a distance beyond the table; return whether it is accepted, and the distance.
 
-    Proposals have the density of 1/x². Of it sinc² is the share sin²(πx), and Airy's radial density, 2 J₁²(πx) / x, the
-    share J₁² has of its envelope, by Hankel's expansion of modulus and phase (Abramowitz & Stegun, 9.2.28 and 9.2.29),
-    which is right to 10⁻⁶ there.
+    Proposals have the density 1/x². Acceptance for sinc² is sin²(πx); for Airy's radial density, 2 J₁²(πx) / x, it is
+    J₁² over its envelope, by Hankel's expansion of modulus and phase (Abramowitz & Stegun, 9.2.28 and 9.2.29), right to
+    10⁻⁶ there.
 
     Parameters
     ----------
     shape : int
-        Of the aperture.
+        Shape of the aperture.
     end : float
-        Where the tail begins.
+        Beginning of the tail.
     u, v : float
-        Random numbers, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     x = end / (1.0 - u)
     if shape != ROUND:
@@ -168,17 +167,17 @@ def proposed_in_tail(shape: int, end: float, u: float, v: float) -> tuple[bool, 
 
 @inlined
 def frequency_in_cells(cells: NDArray[np.float32], share: float, u: float, v: float) -> tuple[bool, float, float]:
-    """Return whether a frequency of the unit hexagon is in the table, and it.
+    """Return whether a sampled frequency of the unit hexagon is in the table, and its value.
 
     Parameters
     ----------
     cells : (n, 2) float32
         From `hexagon_cells`.
     share, u, v : float
-        Random numbers, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     place = len(cells) * share
-    # The largest random number may be rounded up.
+    # The largest random number may round up.
     part = min(int(place), len(cells) - 1)
     number = part if place - part < cells[part, 0] else int(cells[part, 1])
     return number < _CELLS * _CELLS, _along(number % _CELLS, u), _along(number // _CELLS, v)
@@ -186,7 +185,7 @@ def frequency_in_cells(cells: NDArray[np.float32], share: float, u: float, v: fl
 
 @inlined
 def _along(cell: int, u: float) -> float:
-    """Return a place in a cell, on either side of the middle, by a random number."""
+    """Return a random position in a cell, on either side of the centre."""
     side = 2.0 * u - 1.0
     place = (cell + abs(side)) * (_HALF_SIDE / _CELLS)
     return place if side > 0.0 else -place
@@ -200,14 +199,14 @@ def is_beyond_cells(qx: float, qy: float) -> bool:
 
 @inlined
 def rhombus_frequency(number: int, a: float, b: float) -> tuple[float, float]:
-    """Return the frequency q that has products a and b with the two sides of a rhombus of the unit hexagon.
+    """Return the frequency q with products a and b with the two sides of a rhombus of the unit hexagon.
 
     Parameters
     ----------
     number : int
-        0, 1 or 2.
+        Rhombus: 0, 1 or 2.
     a, b : float
-        q·side and q·next side, whose densities are sinc².
+        q·side and q·next side, distributed as sinc².
     """
     after = (number + 1) % 3
     ax, ay, bx, by = _SIDE_X[number], _SIDE_Y[number], _SIDE_X[after], _SIDE_Y[after]
@@ -217,16 +216,14 @@ def rhombus_frequency(number: int, a: float, b: float) -> tuple[float, float]:
 
 @kernel
 def hexagon_spectrum(qx: float, qy: float) -> tuple[float, float]:
-    """Return the power spectrum of the unit hexagon, and the mean of those of its rhombi, which is no smaller.
-
-    Both are 1 in the middle.
+    """Return the power spectrum of the unit hexagon, and its rhombi's mean, which is no smaller; 1 at the centre.
 
     Parameters
     ----------
     qx, qy : float
-        Frequency, in cycles over the distance of opposite sides, two of which are across x.
+        Frequency, in cycles over the distance of opposite sides, two of them across x.
     """
-    # Products with the three sides, which close: the last is minus the sum of the others, by the sums of angles too.
+    # The products with the three sides sum to 0, which gives the last one's sine and cosine.
     a, b = qx * _SIDE_X[0] + qy * _SIDE_Y[0], qx * _SIDE_X[1] + qy * _SIDE_Y[1]
     cos_a, sin_a, cos_b, sin_b = np.cos(np.pi * a), np.sin(np.pi * a), np.cos(np.pi * b), np.sin(np.pi * b)
     cos_c, sin_c = cos_a * cos_b - sin_a * sin_b, -(sin_a * cos_b + cos_a * sin_b)
@@ -239,5 +236,5 @@ def hexagon_spectrum(qx: float, qy: float) -> tuple[float, float]:
 
 @inlined
 def _sinc(x: float, sine: float) -> float:
-    """Return sinc x by sin πx."""
+    """Return sinc x, given sin πx."""
     return sine / (np.pi * x) if x != 0.0 else 1.0

@@ -1,4 +1,4 @@
-"""Dispersion formulas: the index of a glass by wavelength, from its coefficients, from nd and Vd, or from a table."""
+"""Dispersion formulas: the index of a glass by wavelength, from coefficients, from nd and Vd, or from a table."""
 
 import math
 from collections.abc import Sequence
@@ -16,23 +16,23 @@ Array = NDArray[np.float64]
 
 NORMAL_G_F = (0.6438, -0.001682)
 NORMAL_C_T = (0.5450, 0.004743)
-"""Partial dispersions P(g, F) and P(C, t) of normal glasses: a constant, and the slope over the Abbe number. SCHOTT,
-TIE-29, "Refractive index and dispersion", the lines through K7 and F2."""
+"""Partial dispersions P(g, F) and P(C, t) of normal glasses: a constant, and the slope over the Abbe number. Lines
+through K7 and F2, from SCHOTT, TIE-29, "Refractive index and dispersion"."""
 
 MODEL_NM = (350.0, 1100.0)
-"""Wavelengths at which a glass is known by nd and Vd: a little beyond the mercury lines i and t."""
+"""Wavelength range of a glass given by nd and Vd: slightly beyond the mercury lines i and t."""
 
 POLE_UM2 = 0.028
-"""Square of the resonance that Herzberger's formula gives all glasses, µm²."""
+"""Square of the resonance wavelength that Herzberger's formula gives all glasses, µm²."""
 
 
 def model_index(nd: float, vd: float, wavelength_nm: float) -> float:
-    """Return the index of the normal glass of some nd and Vd.
+    """Return the index of the normal glass with given nd and Vd.
 
     Herzberger's formula (Opt. Acta 6, 197, 1959), n = a + b L + c L² + d λ² with L = 1 / (λ² − 0.028 µm²), through nd,
-    Vd and the partial dispersions P(g, F) and P(C, t) of the normal line. For the glasses of SCHOTT and OHARA whose
-    P(g, F) is within 0.002 of that line it is within 3e-5 of the catalogue from F to C, 1e-4 from g to 707 nm, and
-    5e-4 at 405 and at 1014 nm; other glasses differ by up to 5e-4 at F and C, and more beyond.
+    Vd and the partial dispersions P(g, F) and P(C, t) of the normal line. For SCHOTT and OHARA glasses with P(g, F)
+    within 0.002 of that line, the error is at most 3e-5 from F to C, 1e-4 from g to 707 nm, and 5e-4 at 405 and 1014
+    nm. Other glasses differ by up to 5e-4 at F and C, and more beyond.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def model_index(nd: float, vd: float, wavelength_nm: float) -> float:
 
 
 def _herzberger(wavelength_nm: float) -> Array:
-    """Return the terms of Herzberger's formula that depend on the wavelength, (3,)."""
+    """Return the wavelength-dependent terms of Herzberger's formula, (3,)."""
     square = (wavelength_nm * 1e-3) ** 2
     pole = 1.0 / (square - POLE_UM2)
     return np.array([pole, pole * pole, square])
@@ -72,7 +72,7 @@ def _normal_terms(vd: float) -> Array:
 
 
 def sellmeier_index(b: Sequence[float], c_um2: Sequence[float], wavelength_nm: float) -> float:
-    """Return the index by Sellmeier's formula, n² = 1 + Σ b λ² / (λ² − c).
+    """Return the index by the Sellmeier formula, n² = 1 + Σ b λ² / (λ² − c).
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def sellmeier_index(b: Sequence[float], c_um2: Sequence[float], wavelength_nm: f
     Raises
     ------
     GlassError
-        The formula gives no index of at least 1 there.
+        The index is not at least 1 at this wavelength.
     """
     square = (wavelength_nm * 1e-3) ** 2
     try:
@@ -99,10 +99,10 @@ def sellmeier_index(b: Sequence[float], c_um2: Sequence[float], wavelength_nm: f
 
 
 def table_index(wavelengths_nm: Sequence[float], values: Sequence[float], wavelength_nm: float) -> float:
-    """Return the index between those of a table, by a cubic spline over 1/λ², in which glasses are nearly straight.
+    """Interpolate a table of indices by a cubic spline over 1/λ², in which glasses are nearly straight.
 
-    The spline has the same second derivative over its first two values, and over its last two. Two values make
-    Cauchy's formula n = a + b/λ².
+    The spline's second derivative is constant over the first two and the last two values. Two values give Cauchy's
+    formula n = a + b/λ².
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Fresnel's equations for unpolarised light at a smooth dielectric interface, in flux.
 
-R and T are shares of the power that arrives (T holds the n cos ratio and no n² factor), each computed from
-its amplitudes: T as 1 − R would lose its digits at grazing incidence, and the sin/tan quotients often printed
-are 0/0 at normal incidence. See Born & Wolf, Principles of Optics, 1.5.2.
+R and T are fractions of the incident power (T includes the n cos ratio, no n² factor), each from its amplitudes: T as
+1 − R would lose digits at grazing incidence, and the usual sin/tan quotients are 0/0 at normal incidence. See Born &
+Wolf, Principles of Optics, 1.5.2.
 """
 
 import numpy as np
@@ -13,48 +13,48 @@ from lfmesh.kernels.vector import fused
 
 @pasted
 def amplitude_sums(n_i: float, n_t: float, cos_i: float, cos_t: float) -> tuple[float, float]:
-    """Return the denominators of the amplitude coefficients of s- and of p-polarised light.
+    """Return the denominators of the amplitude coefficients of s- and p-polarised light.
 
     Parameters
     ----------
     n_i, n_t : float
-        Refractive index before and after the interface.
+        Indices before and behind the interface.
     cos_i, cos_t : float
-        Cosines of incidence and of refraction.
+        Cosines of incidence and refraction.
     """
     return fused(n_t, cos_t, n_i * cos_i), fused(n_i, cos_t, n_t * cos_i)
 
 
 @pasted
 def transmittance(n_i: float, n_t: float, cos_i: float, cos_t: float, s: float, p: float, over: float) -> float:
-    """Return the share of the power that is transmitted; meaningless under total reflection.
+    """Return the transmitted fraction of the power; meaningless under total reflection.
 
     Parameters
     ----------
     n_i, n_t : float
-        Refractive index before and after the interface.
+        Indices before and behind the interface.
     cos_i, cos_t : float
-        Cosines of incidence and of refraction.
+        Cosines of incidence and refraction.
     s, p : float
-        Denominators of the amplitude coefficients, see `amplitude_sums`.
+        Denominators from `amplitude_sums`.
     over : float
-        1 / (s p). The caller divides, as it may combine this division with another one.
+        1 / (s p), which the caller may combine with another division.
     """
     return 2.0 * n_i * n_t * (cos_i * cos_t) * fused(s, s, p * p) * (over * over)
 
 
 @pasted
 def refraction(n_i: float, n_t: float, cos_i: float) -> tuple[bool, float]:
-    """Return whether reflection is total, and the cosine of refraction, which then is 0.
+    """Return whether reflection is total, and the cosine of refraction, 0 if it is.
 
     Parameters
     ----------
     n_i, n_t : float
-        Refractive index before and after the interface.
+        Indices before and behind the interface.
     cos_i : float
-        Cosine of the angle of incidence, 0 to 1.
+        Cosine of incidence, 0 to 1.
     """
-    # Matched indices are asked for first: at grazing incidence sin² rounds to 1, which would be total reflection.
+    # Matched indices are tested first: at grazing incidence sin² rounds to 1, which would mean total reflection.
     matched = n_i == n_t
     eta = n_i / n_t
     sin2_t = eta * eta * (1.0 - cos_i) * (1.0 + cos_i)
@@ -69,16 +69,16 @@ def fresnel(n_i: float, n_t: float, cos_i: float) -> tuple[float, float, float]:
     Parameters
     ----------
     n_i, n_t : float
-        Refractive index before and after the interface.
+        Indices before and behind the interface.
     cos_i : float
-        Cosine of the angle of incidence, 0 to 1.
+        Cosine of incidence, 0 to 1.
 
     Returns
     -------
     R, T, cos_t : float
-        Under total reflection 1, 0, 0. Matched indices reflect nothing, at grazing incidence too.
+        1, 0, 0 under total reflection. Matched indices reflect nothing, even at grazing incidence.
     """
-    # Without branches, so that loops over many packets become vector instructions.
+    # Without branches, so that loops over packets are vectorised.
     matched = n_i == n_t
     total, cos_t = refraction(n_i, n_t, cos_i)
     s, p = amplitude_sums(n_i, n_t, cos_i, cos_t)

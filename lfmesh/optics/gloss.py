@@ -2,17 +2,17 @@
 
 The BRDF is the sum of three parts, each symmetric in its two directions:
 
-- light that one facet reflects: F D G₂ / (4 cos cos) (Walter et al. 2007);
-- light that several facets reflect: F_ms (1 − E₁)(1 − E₁') / (π (1 − Ē₁)), where E₁ is the directional albedo of
-  facets that reflect everything, and F_ms = F̄² Ē₁ / (1 − F̄ (1 − Ē₁)) (Kulla & Conty, SIGGRAPH 2017 courses);
-- light that comes back from the base: ρ (1 − E)(1 − E') / (π (1 − Ē)), where E is the directional albedo of the two
-  other parts (Kelemen & Szirmay-Kalos, Eurographics 2001). ρ is the reflectance of the base as it shows through the
-  layer: what the layer throws back to the base on the way out is not counted apart. Metal has no base.
+- light reflected once: F D G₂ / (4 cos cos) (Walter et al. 2007);
+- light reflected by several facets: F_ms (1 − E₁)(1 − E₁') / (π (1 − Ē₁)), with E₁ the directional albedo of perfectly
+  reflecting facets, and F_ms = F̄² Ē₁ / (1 − F̄ (1 − Ē₁)) (Kulla & Conty, SIGGRAPH 2017 courses);
+- light returned by the base: ρ (1 − E)(1 − E') / (π (1 − Ē)), with E the directional albedo of the other two parts
+  (Kelemen & Szirmay-Kalos, Eurographics 2001). ρ is the reflectance of the base as seen through the layer, including
+  light that the layer throws back on the way out. Metal has no base.
 
-A layer that absorbs nothing over a base of ρ = 1 so scatters all light, and so does metal that reflects all. 1 − E and
+A layer without absorption over a base of ρ = 1 thus scatters all light, as does perfectly reflecting metal. 1 − E and
 1 − E₁ are tabulated and lowered by `MARGIN`, more than the tables' error, so that no light is gained.
 
-All kernels use the local frame of the surface, whose normal is +z; unit vectors point away from it.
+Kernels use the surface's local frame with the normal +z; unit vectors point away from it.
 """
 
 from collections.abc import Callable
@@ -31,37 +31,37 @@ Array = NDArray[np.float64]
 Direction = tuple[float, float, float]
 
 NODES = 256
-"""Intervals of the tables, in the square root of the cosine."""
+"""Number of intervals of the tables, in the square root of the cosine."""
 
 MARGIN = 2e-4
-"""By which the tables of 1 − E are lowered; their own error is below 1e-4 at a roughness of 0.01, and less above."""
+"""Reduction of the tables of 1 − E; their own error is below 1e-4 at a roughness of 0.01, and less above."""
 
 ORDERS = 32
-"""Chebyshev polynomials of the cosine at a facet that Fresnel's reflectance is expanded in."""
+"""Number of Chebyshev polynomials of the cosine at a facet in the expansion of Fresnel's reflectance."""
 
 ACROSS, ROUND = 48, 32
-"""Points of the quadrature over the facets that are visible, in each of its parts."""
+"""Quadrature points over the visible facets, in each part."""
 
 # Rows of a model's parameters.
 BASE, ALPHA, INDEX, EXTINCTION, SEVERAL, BASE_NORM, SEVERAL_NORM, TABLES = 0, 1, 2, 3, 4, 5, 6, 7
 ROWS = TABLES + 2 * (NODES + 1)
 
 KEPT_ROUGHNESSES, KEPT_LAYERS = 256, 4096
-"""Roughnesses and layers whose tables are cached: 17 MB and 8 MB at most."""
+"""Number of roughnesses and layers with cached tables: 17 MB and 8 MB at most."""
 
 LEAST_CHANCE = 0.05
-"""Of each of the two ways in which a direction is drawn."""
+"""Minimum probability of each of the two ways of sampling a direction."""
 
 
 def gloss_parameters(reflectance: Array, index: NDArray[np.complex128], roughness: float) -> Array:
-    """Return the parameters of a glossy target as the kernels take them, (ROWS, wavelengths).
+    """Return the parameters of a glossy target for the kernels, (ROWS, wavelengths).
 
     Parameters
     ----------
     reflectance : (wavelengths,) float64
-        Of the base; not read for metals.
+        Reflectance of the base; ignored for metals.
     index : (wavelengths,) complex128
-        n + ik of the facets; with k > 0 a metal.
+        n + ik of the facets; a metal if k > 0.
     roughness : float
         α_g.
     """
@@ -81,7 +81,7 @@ def gloss_parameters(reflectance: Array, index: NDArray[np.complex128], roughnes
 
 @lru_cache(maxsize=KEPT_ROUGHNESSES)
 def _lost_by_facets(alpha: float) -> tuple[Array, float]:
-    """Return what single facets that reflect everything lose, 1 − E₁, (NODES + 1,), and its mean."""
+    """Return the loss 1 − E₁ of single reflections at perfect facets, (NODES + 1,), and its mean."""
     not_one = np.maximum(1.0 - facet_moments(alpha)[0] - MARGIN, 0.0)
     not_one.setflags(write=False)
     return not_one, _table_mean(not_one)
@@ -89,7 +89,7 @@ def _lost_by_facets(alpha: float) -> tuple[Array, float]:
 
 @lru_cache(maxsize=KEPT_LAYERS)
 def _layer(n: complex, alpha: float) -> tuple[float, Array, float]:
-    """Return what depends on the facets alone, whatever lies below them.
+    """Return the quantities that depend on the facets alone, not on the base.
 
     Parameters
     ----------
@@ -101,11 +101,11 @@ def _layer(n: complex, alpha: float) -> tuple[float, Array, float]:
     Returns
     -------
     several : float
-        Factor of the light that several facets reflect, F_ms.
+        Factor F_ms of the light reflected by several facets.
     through : (NODES + 1,) float64
         1 − E.
     mean_through : float
-        Its mean.
+        Mean of `through`.
     """
     not_one, loss = _lost_by_facets(alpha)
     mean = _mean(partial(interface_reflectance, n.real, n.imag))
@@ -125,8 +125,7 @@ def _expanded(n: complex) -> Array:
 def _interpolation() -> tuple[Array, Array]:
     """Return the Chebyshev nodes, (ORDERS,), and the matrix from values there to Chebyshev polynomials.
 
-    The polynomials are orthogonal in sums over the nodes (J. C. Mason and D. C. Handscomb, Chebyshev Polynomials, 2003,
-    section 4.6).
+    By discrete orthogonality (J. C. Mason and D. C. Handscomb, Chebyshev Polynomials, 2003, section 4.6).
     """
     x = np.cos(np.pi * (np.arange(ORDERS) + 0.5) / ORDERS)
     matrix = np.asarray(chebyshev.chebvander(x, ORDERS - 1).T * (2.0 / ORDERS), dtype=np.float64)
@@ -135,14 +134,14 @@ def _interpolation() -> tuple[Array, Array]:
 
 
 def _mean(of_cosine: Callable[[Array], Array]) -> float:
-    """Return the mean of a function of the cosine over the hemisphere, weighted by the cosine."""
+    """Return the cosine-weighted mean over the hemisphere of a function of the cosine."""
     x, w = gauss_legendre(64)
     c = 0.5 * (x + 1.0)
     return float((w * c * of_cosine(c)).sum())
 
 
 def _table_mean(table: Array) -> float:
-    """Return the same mean of a table, linear in the root of the cosine: exactly, by quadrature of each interval."""
+    """Return the same mean of a table, linear in the root of the cosine, by exact quadrature per interval."""
     x, w = gauss_legendre(4)
     t = (np.arange(NODES)[:, None] + 0.5 * (x + 1.0)) / NODES
     share = 0.5 * (x + 1.0)
@@ -158,13 +157,13 @@ def interface_reflectance(n: Array | float, k: Array | float, cosine: Array) -> 
     n, k : float
         Index and extinction coefficient.
     cosine : float64, any shape
-        Of incidence.
+        Cosine of incidence.
     """
     return np.asarray(_reflectance(n, k, np.asarray(cosine, dtype=np.float64)))
 
 
 def _reflectance(n: Any, k: Any, c: Any) -> Any:
-    """Return Fresnel's reflectance (Born & Wolf, 14.2), for numbers in kernels and for arrays outside."""
+    """Return Fresnel's reflectance (Born & Wolf, 14.2), of numbers in kernels and arrays outside."""
     s2 = 1.0 - c * c
     t = n * n - k * k - s2
     both = np.sqrt(t * t + 4.0 * n * n * k * k)
@@ -181,12 +180,11 @@ facet_reflectance = inlined(_reflectance)
 
 @lru_cache(maxsize=KEPT_ROUGHNESSES)
 def facet_moments(alpha: float) -> Array:
-    """Return the directional albedos of facets whose reflectance is a Chebyshev polynomial, (ORDERS, NODES + 1).
+    """Return the directional albedos of facets that reflect as Chebyshev polynomials, (ORDERS, NODES + 1).
 
-    The k-th reflects T_k(2c − 1) where the cosine at the facet is c; the first so is the albedo E₁ of facets that
-    reflect everything. They are the means of T_k G₂ / G₁ over the facets that are visible, which
-    `microfacets.visible_normal` draws; the part of them that reflects below the surface is cut off along its edge, so
-    that smooth functions are left.
+    The k-th reflects T_k(2c − 1) at the facet cosine c; the first is E₁. They are the means of T_k G₂ / G₁ over the
+    visible facets, sampled as in `microfacets.visible_normal`. Facets that reflect below the surface are cut off along
+    their edge, which leaves smooth integrands.
 
     Parameters
     ----------
@@ -208,14 +206,14 @@ def facet_moments(alpha: float) -> Array:
 def _reflected(
     alpha: float, mu: Array, cos_phi: Array | float, sin_phi: Array | float, v: Array
 ) -> tuple[Array, Array]:
-    """Return the cosine at a visible facet and the cosine of the direction into which it reflects, by its numbers.
+    """Return the cosines at a visible facet and of the direction that it reflects into, from its sampling numbers.
 
     Parameters
     ----------
     mu : float64
-        Cosine of the direction from which it is seen.
+        Cosine of the viewing direction.
     cos_phi, sin_phi, v : float64
-        See `visible_normal`.
+        As in `visible_normal`.
     """
     sine = np.sqrt(1.0 - mu * mu)
     length = np.hypot(alpha * sine, mu)
@@ -228,7 +226,7 @@ def _reflected(
 
 
 def _edge(alpha: float, mu: Array, cos_phi: float) -> Array:
-    """Return up to which v a facet at an azimuth reflects above the surface: by halving."""
+    """Return the largest v of a facet, at one azimuth, that reflects above the surface, by bisection."""
     low, high = np.zeros_like(mu), np.ones_like(mu)
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -238,7 +236,7 @@ def _edge(alpha: float, mu: Array, cos_phi: float) -> Array:
 
 
 def _edge_azimuth(alpha: float, mu: Array, v: Array) -> Array:
-    """Return up to which azimuth a facet reflects above the surface; that is linear in the azimuth's cosine."""
+    """Return the largest azimuth of a facet that reflects above the surface; the condition is linear in its cosine."""
     sine = np.sqrt(1.0 - mu * mu)
     length = np.hypot(alpha * sine, mu)
     sx, top = alpha * sine / length, 1.0 + mu / length
@@ -249,10 +247,10 @@ def _edge_azimuth(alpha: float, mu: Array, v: Array) -> Array:
 
 
 def _part(alpha: float, mu: Array, low: Array, high: Array, cut: bool) -> Array:
-    """Return the integrals over v from `low` to `high`, and over the azimuths above the edge where it cuts them."""
+    """Return the integrals over v from `low` to `high` and over azimuth, up to the edge if `cut`."""
     x, w = gauss_legendre(ACROSS)
     p = 0.5 * (x + 1.0)
-    # Points crowd at both ends, where square roots and the shadow near the horizon are.
+    # Points cluster at both ends, at the square roots and the shadow near the horizon.
     place, weight = p**3 * (10.0 - 15.0 * p + 6.0 * p * p), 15.0 * (p * (1.0 - p)) ** 2 * w
     mu, low, high = mu[:, None], low[:, None], high[:, None]
     v, v_weight = low + (high - low) * place, (high - low) * weight
@@ -286,7 +284,7 @@ def table_at(parameters: Array, first: int, colour: int, cosine: float) -> float
     first : int
         Row of the table's first value.
     colour : int
-        Number of the wavelength.
+        Wavelength index.
     cosine : float
     """
     t = np.sqrt(min(max(cosine, 0.0), 1.0)) * NODES
@@ -295,7 +293,7 @@ def table_at(parameters: Array, first: int, colour: int, cosine: float) -> float
 
 
 def mean_albedos(parameters: Array) -> tuple[Array, Array]:
-    """Return the hemispherical means of the albedo, each (wavelengths,), by the tables that `gloss_albedos` reads.
+    """Return the hemispherical means of the albedos in `gloss_albedos`, each (wavelengths,).
 
     Parameters
     ----------
@@ -304,7 +302,7 @@ def mean_albedos(parameters: Array) -> tuple[Array, Array]:
     Returns
     -------
     facets, base : (wavelengths,) float64
-        Of what the facets reflect, and of what the base adds where the factor of its reflectance is 1.
+        Albedo of the facets, and that added by the base if its texel is 1.
     """
     columns = parameters.T
     facets, base = np.zeros(len(columns)), np.zeros(len(columns))
@@ -319,7 +317,7 @@ def mean_albedos(parameters: Array) -> tuple[Array, Array]:
 def gloss_albedos(
     parameters: Array, first: int, colour: int, texel: float, cosine: float
 ) -> tuple[float, float]:  # fmt: skip
-    """Return the share of light from a direction that single facets reflect, and what the two other parts scatter.
+    """Return the albedos of single facets and of the other two parts together.
 
     Parameters
     ----------
@@ -327,9 +325,9 @@ def gloss_albedos(
     first : int
         Row of the model's first parameter.
     colour : int
-        Number of the wavelength.
+        Wavelength index.
     texel : float
-        Factor of the base's reflectance.
+        Factor on the base's reflectance.
     cosine : float
     """
     several = parameters[first + SEVERAL, colour] * table_at(parameters, first + TABLES, colour, cosine)
@@ -347,9 +345,9 @@ def gloss_brdf(
     Parameters
     ----------
     parameters, first, colour, texel
-        As for `gloss_albedos`.
+        As in `gloss_albedos`.
     incoming, outgoing : (3,) float
-        Unit directions, away from the surface.
+        Unit directions.
     """
     (ix, iy, iz), (ox, oy, oz) = incoming, outgoing
     if iz <= 0.0 or oz <= 0.0:
@@ -375,18 +373,18 @@ def gloss_brdf(
 def _half_way(
     ix: float, iy: float, iz: float, ox: float, oy: float, oz: float
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """Return the unit normal of the facet that reflects one direction into another, and the cosine at it."""
+    """Return the unit normal of the facet that reflects one direction into another, and its cosine with them."""
     hx, hy, hz = ix + ox, iy + oy, iz + oz
     length = np.sqrt(hx * hx + hy * hy + hz * hz)
     if length == 0.0:
         return 0.0, 0.0, 1.0, 0.0
-    # |i + o| is twice the cosine of half the angle between them.
+    # |i + o| is twice the cosine of half their angle.
     return hx / length, hy / length, hz / length, min(0.5 * length, 1.0)
 
 
 @inlined
 def _chance_of_facet(once: float, rest: float) -> float:
-    """Return the chance with which a direction is drawn by a facet, else by the cosine."""
+    """Return the probability of sampling a direction by a facet rather than by the cosine."""
     if rest <= 0.0:
         return 1.0
     return min(max(once / (once + rest), LEAST_CHANCE), 1.0 - LEAST_CHANCE)
@@ -396,18 +394,18 @@ def _chance_of_facet(once: float, rest: float) -> float:
 def gloss_direction(
     parameters: Array, first: int, colour: int, texel: float, incoming: Direction, u: float, v: float
 ) -> tuple[float, float, float]:
-    """Return a random direction: reflected by a visible facet, or by Lambert's law.
+    """Sample a direction: reflected by a visible facet, or by Lambert's law.
 
-    What a facet reflects below the surface is mirrored at the surface, so that every draw gives a direction.
+    Facet reflections below the surface are mirrored, so that no sample is lost.
 
     Parameters
     ----------
     parameters, first, colour, texel
-        As for `gloss_albedos`.
+        As in `gloss_albedos`.
     incoming : (3,) float
-        Unit direction of the light that arrives, away from the surface.
+        Unit direction of the incident light.
     u, v : float
-        Random numbers, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     ix, iy, iz = incoming
     once, rest = gloss_albedos(parameters, first, colour, texel, iz)
@@ -427,14 +425,14 @@ def gloss_direction(
 def gloss_density(
     parameters: Array, first: int, colour: int, texel: float, incoming: Direction, outgoing: Direction
 ) -> float:
-    """Return the density, 1/sr, with which `gloss_direction` draws a direction; 0 below the surface.
+    """Return the probability density, 1/sr, of a direction in `gloss_direction`; 0 below the surface.
 
     Parameters
     ----------
     parameters, first, colour, texel
-        As for `gloss_albedos`.
+        As in `gloss_albedos`.
     incoming, outgoing : (3,) float
-        Unit directions, away from the surface.
+        Unit directions.
     """
     (ix, iy, iz), (ox, oy, oz) = incoming, outgoing
     if oz <= 0.0:

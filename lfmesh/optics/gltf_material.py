@@ -1,13 +1,13 @@
-"""Materials of glTF files: base colour, metallic, roughness, as gloss over a base and as metal.
+"""Materials of glTF files (base colour, metallic, roughness), as mixtures of gloss over a base and of metal.
 
-glTF 2.0, appendix B: a material is a mixture, by its metallic value, of a dielectric of index 1.5 over a diffuse base
-with the base colour, and of a metal whose reflectance at normal incidence is the base colour. Both have GGX facets with
-α = roughness². The two parts are those of `optics.gloss`, which lose no light that facets reflect several times; the
-mixture of two reciprocal parts that gain nothing is reciprocal and gains nothing.
+glTF 2.0, appendix B: the metallic value mixes a dielectric of index 1.5 over a diffuse base of the base colour with a
+metal that has the base colour as reflectance at normal incidence. Both have GGX facets with α = roughness². The two
+parts come from `optics.gloss`, which keeps the light of multiple facet reflections. They and hence their mixture are
+reciprocal and gain no energy.
 
-A picture may vary metallic and roughness over the surface. Each point then mixes four materials of a `GltfRange`: of
-the least and the largest metallic, which is exact, and of the two nearest roughnesses. Such a mixture is reciprocal and
-gains nothing either. Its density of facets is off by at most RATIO²/2, 1.04 %, from that of the roughness itself.
+If a picture varies metallic and roughness, each point mixes four materials of a `GltfRange`: the smallest and largest
+metallic, which is exact, and the two nearest roughnesses. Its density of facets differs from that of the true roughness
+by at most RATIO²/2, 1.04 %.
 """
 
 import math
@@ -24,17 +24,17 @@ from lfmesh.optics.rgb_spectra import primary_reflectances
 Array = NDArray[np.float64]
 
 DIELECTRIC_INDEX = 1.5
-"""Of every material that is no metal (glTF 2.0, appendix B.3.3)."""
+"""Index of all non-metals (glTF 2.0, appendix B.3.3)."""
 
 SMALLEST_ALPHA = 0.01
-"""Of a gloss, as `scene.targets` has it."""
+"""Smallest α of a gloss, as in `scene.targets`."""
 
 ROUGHNESSES = 32
-"""Intervals of ln α, of equal width from `SMALLEST_ALPHA` to 1, between whose ends a picture's roughness is mixed."""
+"""Number of equal intervals of ln α from `SMALLEST_ALPHA` to 1; a picture's roughness is mixed between their ends."""
 
 RATIO = -math.log(SMALLEST_ALPHA) / ROUGHNESSES
-"""Width of an interval. GGX's density of facets, α² / (π cos⁴θ (α² + tan²θ)²), mixed linearly in ln α between two
-ends is off by at most RATIO²/8 times the largest of its second derivative over its value, 4 at θ = 0 and at 90°."""
+"""Width of an interval. GGX's density of facets, α² / (π cos⁴θ (α² + tan²θ)²), interpolated linearly in ln α, is off by
+at most RATIO²/8 times its second derivative over its value, which is at most 4 (at θ = 0 and 90°)."""
 
 HALVINGS = 50
 
@@ -46,9 +46,9 @@ class GltfMaterial:
     Attributes
     ----------
     base : (float, float, float)
-        Base colour factor, linear sRGB. A base colour texture multiplies it, point by point.
+        Base colour factor, linear sRGB; a texture multiplies it.
     metallic, roughness : float
-        As the file gives them, 0..1.
+        Values in the file, 0..1.
     """
 
     base: tuple[float, float, float]
@@ -57,7 +57,7 @@ class GltfMaterial:
 
     @property
     def alpha(self) -> float:
-        """Walter's α_g, as far down as a gloss may go."""
+        """Walter's α_g, at least `SMALLEST_ALPHA`."""
         return max(self.roughness**2, SMALLEST_ALPHA)
 
 
@@ -69,9 +69,9 @@ class GltfRange:
     ----------
     base : (float, float, float)
     metallic : (float, float)
-        The least and the largest.
+        Smallest and largest.
     first, last : int
-        The first and the last roughness: α = exp(RATIO (k − ROUGHNESSES)).
+        First and last roughness: α = exp(RATIO (k − ROUGHNESSES)).
     """
 
     base: tuple[float, float, float]
@@ -81,7 +81,7 @@ class GltfRange:
 
     @classmethod
     def of(cls, base: tuple[float, float, float], metallic: Array, roughness: Array) -> "GltfRange":
-        """Return the range that holds some values.
+        """Return the range that contains given values.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class GltfRange:
 
     @property
     def materials(self) -> tuple[GltfMaterial, ...]:
-        """Materials by roughness, two each: of the least metallic, of the largest."""
+        """Materials in order of roughness, two each: with the smallest and the largest metallic."""
         alphas = [math.exp(RATIO * (k - ROUGHNESSES)) for k in range(self.first, self.last + 1)]
         return tuple(GltfMaterial(self.base, metallic, math.sqrt(a)) for a in alphas for metallic in self.metallic)
 
@@ -103,16 +103,14 @@ class GltfRange:
 def gltf_parameters(
     materials: Sequence[GltfMaterial], wavelengths_nm: tuple[float, ...], surroundings: Array
 ) -> list[Array]:
-    """Return the parameters of both parts of materials as kernels take them, each (2 ROWS, wavelengths).
-
-    Those of the dielectric come first.
+    """Return the parameters of both parts of materials for the kernels, each (2 ROWS, wavelengths), dielectric first.
 
     Parameters
     ----------
     materials : sequence of GltfMaterial
     wavelengths_nm : (wavelengths,) tuple of float
     surroundings : (materials, wavelengths) float64
-        Refractive index of what each material stands in; that part which is a metal has its colour in any.
+        Refractive index around each material; a metal keeps its colour in any.
     """
     if not materials:
         return []
@@ -130,11 +128,10 @@ def gltf_parameters(
 
 
 def metal_of_reflectance(reflectance: Array) -> NDArray[np.complex128]:
-    """Return n + ik of metals with a given reflectance at normal incidence.
+    """Return n + ik of metals with given reflectances at normal incidence.
 
-    Of the metals that have it (Gulbrandsen, "Artist Friendly Metallic Fresnel", JCGT 3(4), 2014, numbers them by an
-    edge tint from 0 to 1) the one whose mean over the hemisphere is that of Schlick's approximation, which glTF takes:
-    r + (1 - r) / 21; where none is, the nearest.
+    An edge tint from 0 to 1 parametrises such metals (Gulbrandsen, "Artist Friendly Metallic Fresnel", JCGT 3(4),
+    2014). It is chosen for the hemispherical mean of glTF's Schlick approximation, r + (1 - r) / 21, or the nearest.
 
     Parameters
     ----------
@@ -155,9 +152,9 @@ def metal_of_reflectance(reflectance: Array) -> NDArray[np.complex128]:
 
 
 def _with_tint(r: Array, tint: Array) -> NDArray[np.complex128]:
-    """Return n + ik of a reflectance and an edge tint."""
+    """Return n + ik for a reflectance and an edge tint."""
     root = np.sqrt(r)
     n = tint * (1.0 - r) / (1.0 + r) + (1.0 - tint) * (1.0 + root) / (1.0 - root)
     k = np.sqrt(np.maximum((r * (n + 1.0) ** 2 - (n - 1.0) ** 2) / (1.0 - r), 0.0))
-    # An extinction coefficient of zero would make it a dielectric, with a base below.
+    # With zero extinction it would be a dielectric over a base.
     return np.asarray(n + 1j * np.maximum(k, 1e-9))

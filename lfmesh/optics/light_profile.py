@@ -1,7 +1,6 @@
 """Angular profiles of lamps, read from IES files (IES LM-63).
 
-A file that is short of a number or has angles out of order is refused: a profile that was filled up would light the
-scene wrongly without a word.
+A file with a missing number or unordered angles is refused: a repaired profile would silently be wrong.
 """
 
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from lfmesh.regular_file import read_text
 Array = NDArray[np.float64]
 
 TYPE_C = 1
-"""Photometric type whose vertical angles start at the nadir and whose horizontal angles turn about it."""
+"""Photometric type with vertical angles from the nadir and horizontal angles about it."""
 
 MOST_NUMBERS = 1_000_000
 
@@ -25,18 +24,18 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 @dataclass(frozen=True)
 class LightProfile:
-    """Shape of a lamp's radiant intensity: linear in the angles between those of the file.
+    """Shape of a lamp's radiant intensity, linear in the angles between the file's.
 
     Attributes
     ----------
     vertical : (v,) float64, rad
-        Angles from the nadir, increasing; outside their range nothing shines.
+        Angles from the nadir, increasing; dark outside.
     horizontal : (h,) float64, rad
-        Angles about the nadir, counter-clockwise as seen from above the lamp, increasing over a whole turn.
+        Angles about the nadir, counter-clockwise from above, increasing over a whole turn.
     intensity : (h, v) float64, 1/sr
-        Intensity over the lamp's power: it integrates to one over all directions.
+        Intensity over the lamp's power.
     flux_lm : float
-        Integral of the file's own intensities.
+        Integral of the file's intensities.
     """
 
     vertical: Array
@@ -45,7 +44,7 @@ class LightProfile:
     flux_lm: float
 
     def at(self, theta: Array, phi: Array) -> Array:
-        """Return the intensity in directions, 1/sr: angles (n,) from the nadir and about it, in the profile's turn."""
+        """Return the intensity, 1/sr, at angles (n,) from the nadir and about it, within the profile's turn."""
         from scipy.interpolate import RegularGridInterpolator
 
         look_up = RegularGridInterpolator(
@@ -54,17 +53,17 @@ class LightProfile:
         return np.asarray(look_up(np.column_stack([phi, theta])))
 
     def shares(self) -> Array:
-        """Return the share of the power in each cell between neighbouring angles, (h − 1, v − 1)."""
+        """Return the fraction of the power in each cell between neighbouring angles, (h − 1, v − 1)."""
         return _cell_integrals(self.vertical, self.horizontal, self.intensity)
 
 
 def read_profile(path: Path) -> LightProfile:
-    """Read an IES file of type C photometry; its absolute values and its lamp's tilt do not count.
+    """Read an IES file of type C photometry, ignoring its absolute values and its lamp's tilt.
 
     Raises
     ------
     FileError
-        It cannot be read; a number is missing, too many, or out of its range; its photometry is of another type.
+        The file cannot be read, a number is missing, surplus or out of range, or the photometric type is another one.
     """
     try:
         lines = read_text(path, errors="replace").splitlines()
@@ -89,7 +88,7 @@ def read_profile(path: Path) -> LightProfile:
     further = len(numbers) - (13 + rows + columns + rows * columns)
     if further:
         raise FileError(f"{path}: {further} numbers follow the {rows * columns} intensities that it announces")
-    # Spots end before 90 degrees, where they are dark; LM-63 asks for zeros up to there.
+    # Files of spots may end before 90 degrees, where they are dark, although LM-63 requires zeros up to there.
     spans = vertical[0] in (0.0, 90.0) and vertical[-1] <= 180.0
     if rows < 2 or (np.diff(vertical) <= 0.0).any() or not spans:
         raise FileError(f"{path}: its vertical angles must increase from 0 or 90 up to 180 degrees at most")
@@ -106,7 +105,7 @@ _COUNTED = ((3, "vertical"), (4, "horizontal"))
 
 
 def _all_round(path: Path, horizontal: Array, candela: Array) -> tuple[Array, Array]:
-    """Return horizontal angles of a whole turn, and the intensities there, by the symmetry of the file."""
+    """Complete the horizontal angles and intensities to a whole turn, by the symmetry of the file."""
     if len(horizontal) == 1:
         return np.array([0.0, 360.0]), np.repeat(candela, 2, axis=0)
     span = horizontal[0], horizontal[-1]
@@ -118,14 +117,14 @@ def _all_round(path: Path, horizontal: Array, candela: Array) -> tuple[Array, Ar
     if span == (0.0, 360.0) and not np.array_equal(candela[0], candela[-1]):
         raise FileError(f"{path}: its intensities at 0 and at 360 degrees differ")
     while horizontal[-1] - horizontal[0] < 360.0:
-        # Mirrored at its last plane: a quarter to a half, a half to the whole.
+        # Mirror at the last plane: a quarter to a half, a half to the whole.
         horizontal = np.concatenate([horizontal, 2.0 * horizontal[-1] - horizontal[-2::-1]])
         candela = np.concatenate([candela, candela[-2::-1]])
     return horizontal, candela
 
 
 def _cell_integrals(vertical: Array, horizontal: Array, intensity: Array) -> Array:
-    """Return the integrals of the bilinear intensity over the cells between the angles, (h − 1, v − 1), W."""
+    """Return the integrals of the bilinear intensity over the cells between angles, (h − 1, v − 1), W."""
     low, width = vertical[:-1, None], np.diff(vertical)[:, None]
     share = 0.5 * (_NODES + 1.0)
     ring = 0.5 * _WEIGHTS * width * np.sin(low + share * width)
@@ -135,7 +134,7 @@ def _cell_integrals(vertical: Array, horizontal: Array, intensity: Array) -> Arr
 
 
 def _numbers(path: Path, lines: list[str], first: int) -> Array:
-    """Return all numbers of some lines; commas separate as blanks do."""
+    """Return all numbers in some lines, separated by blanks or commas."""
     values: list[float] = []
     for number, line in enumerate(lines, start=first):
         for word in line.replace(",", " ").split():
@@ -150,14 +149,14 @@ def _numbers(path: Path, lines: list[str], first: int) -> Array:
 
 
 def _part(path: Path, numbers: Array, first: int, count: int) -> Array:
-    """Return `count` numbers from the `first` on."""
+    """Return `count` numbers from index `first` on."""
     if first + count > len(numbers):
         raise FileError(f"{path}: cut short: {first + count} numbers at least should follow TILT=, not {len(numbers)}")
     return numbers[first : first + count]
 
 
 def _whole(path: Path, value: float, what: str) -> int:
-    """Return a number that counts something."""
+    """Return a count."""
     if value != int(value) or not 1 <= value <= MOST_NUMBERS:
         raise FileError(f"{path}: {what} is {value:g}; it must be a whole number of at least 1")
     return int(value)

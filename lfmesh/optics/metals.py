@@ -1,4 +1,4 @@
-"""Metals by name: the catalogue's complex index n + ik of a chemical symbol."""
+"""Metals by chemical symbol: the catalogue's complex index n + ik."""
 
 from functools import cache
 
@@ -10,8 +10,8 @@ from lfmesh.optics.glass import complex_index, find_glass
 def find_metal(name: str) -> str:
     """Return the catalogue's page "shelf/book/page" of a metal.
 
-    A chemical symbol ("Al", "Au") means the data that the catalogue shows first: Rakić's of aluminium, those of Johnson
-    and Christy of silver, gold and copper. A page may be given in full ("main/Al/McPeak").
+    A chemical symbol ("Al", "Au") means the catalogue's first data: Rakić for aluminium, Johnson and Christy for
+    silver, gold and copper. A page may be given in full ("main/Al/McPeak").
 
     Raises
     ------
@@ -37,7 +37,7 @@ def metal_index(name: str, wavelength_nm: float) -> complex:
     Raises
     ------
     GlassError
-        There is no such metal, its data do not reach the wavelength, or it absorbs nothing there.
+        There is no such metal, the wavelength is outside its data, or it does not absorb there.
     """
     index = complex_index(find_metal(name), wavelength_nm)
     if index.imag <= 0.0:

@@ -1,8 +1,8 @@
-"""GGX microfacets: normals, masking and shadowing after Smith, and sampling of the normals that are visible.
+"""GGX microfacets: normals, Smith masking and shadowing, and sampling of the visible normals.
 
-All vectors are in the local frame of the surface, whose mean normal is +z; unit vectors point away from the surface.
-`alpha` is Walter's α_g (Walter, Marschner, Li & Torrance, EGSR 2007), above 0. Directions may point below the mean
-surface (z < 0), as those of light between two facets may; the facets' own normals have z > 0.
+Vectors are in the local frame of the surface with the mean normal +z and point away from the surface. `alpha` is
+Walter's α_g (Walter, Marschner, Li & Torrance, EGSR 2007), above 0. Directions may point below the mean surface
+(z < 0), as between two facets; facet normals have z > 0.
 """
 
 import numpy as np
@@ -12,9 +12,9 @@ from lfmesh.kernels.decorators import inlined
 
 @inlined
 def facet_density(alpha: float, mx: float, my: float, mz: float) -> float:
-    """Return D(m), 1/sr: area of the facets with a normal, per area of the mean surface (Walter et al. 2007, eq. 33).
+    """Return D(m), 1/sr: area of the facets with normal m, per area of the mean surface (Walter et al. 2007, eq. 33).
 
-    Times the cosine m_z it integrates to one over the hemisphere.
+    D m_z integrates to one over the hemisphere.
 
     Parameters
     ----------
@@ -26,21 +26,21 @@ def facet_density(alpha: float, mx: float, my: float, mz: float) -> float:
     if mz <= 0.0:
         return 0.0
     a2 = alpha * alpha
-    # cos⁴ θ (α² + tan² θ)² without the digits that 1 − cos² would lose where the surface is almost smooth.
+    # cos⁴ θ (α² + tan² θ)², without the cancellation of 1 − cos² on almost smooth surfaces.
     spread = mx * mx + my * my + a2 * mz * mz
     return a2 / (np.pi * spread * spread)
 
 
 @inlined
 def stretched_length(alpha: float, x: float, y: float, z: float) -> float:
-    """Return the length of a direction in the space in which the facets are those of a hemisphere.
+    """Return the length of a direction in the stretched space that turns the facets into a hemisphere.
 
     Parameters
     ----------
     alpha : float
         Roughness α_g.
     x, y, z : float
-        Unit direction, above or below the surface.
+        Unit direction.
     """
     return np.sqrt(alpha * alpha * (x * x + y * y) + z * z)
 
@@ -49,19 +49,19 @@ def stretched_length(alpha: float, x: float, y: float, z: float) -> float:
 def projected_area(alpha: float, x: float, y: float, z: float) -> float:
     """Return σ(ω): projected area of the facets that face a direction, per area of the mean surface.
 
-    Other facets that stand in front of them are not taken off (Heitz et al., SIGGRAPH 2016).
+    Masking by other facets is ignored (Heitz et al., SIGGRAPH 2016).
 
     Parameters
     ----------
     alpha : float
         Roughness α_g.
     x, y, z : float
-        Unit direction, above or below the surface.
+        Unit direction.
     """
     length = stretched_length(alpha, x, y, z)
     if z >= 0.0:
         return 0.5 * (length + z)
-    # Below the surface both terms are almost equal: their difference by the difference of their squares.
+    # Below the surface the two terms nearly cancel: use the difference of their squares.
     return 0.5 * alpha * alpha * (x * x + y * y) / (length - z)
 
 
@@ -74,7 +74,7 @@ def smith_lambda(alpha: float, x: float, y: float, z: float) -> float:
     alpha : float
         Roughness α_g.
     x, y, z : float
-        Unit direction, above or below the surface.
+        Unit direction.
     """
     length = stretched_length(alpha, x, y, z)
     if z >= 0.0:
@@ -84,16 +84,16 @@ def smith_lambda(alpha: float, x: float, y: float, z: float) -> float:
 
 @inlined
 def smith_g2(alpha: float, ix: float, iy: float, iz: float, ox: float, oy: float, oz: float) -> float:
-    """Return Smith's G₂ of two directions above the surface: share of the facets that both see.
+    """Return Smith's G₂ of two directions above the surface: fraction of the facets visible from both.
 
-    Facets that are seen from one direction lie high and are more likely to be seen from the other (Heitz 2014).
+    Facets visible from one direction lie high, hence are more likely visible from the other (Heitz 2014).
 
     Parameters
     ----------
     alpha : float
         Roughness α_g.
     ix, iy, iz, ox, oy, oz : float
-        Unit directions; 0 if one is below the surface.
+        Unit directions; the result is 0 if one is below the surface.
     """
     if iz <= 0.0 or oz <= 0.0:
         return 0.0
@@ -105,23 +105,22 @@ def smith_g2(alpha: float, ix: float, iy: float, iz: float, ox: float, oy: float
 def visible_normal(
     alpha: float, x: float, y: float, z: float, u: float, v: float
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Return a random facet normal, each as likely as its projected area from a direction (Heitz, JCGT 7(4), 2018).
+    """Sample a facet normal in proportion to its projected area from a direction (Heitz, JCGT 7(4), 2018).
 
-    Drawn by the cap of the sphere that mirrors the stretched direction (Dupuy & Benyoub 2023), which gives Heitz's
-    density also for directions below the surface.
+    Uses the spherical cap that mirrors the stretched direction (Dupuy & Benyoub 2023), even below the surface.
 
     Parameters
     ----------
     alpha : float
         Roughness α_g.
     x, y, z : float
-        Unit direction from which the facets are seen, not −z itself.
+        Unit viewing direction, other than −z.
     u, v : float
-        Random numbers, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     over = 1.0 / stretched_length(alpha, x, y, z)
     sx, sy, sz = alpha * x * over, alpha * y * over, z * over
-    # Height in the cap above its rim at −sz, whose largest value 1 + sz has few digits near sz = −1.
+    # Height in the cap above its rim at −sz; its largest value 1 + sz is imprecise near sz = −1.
     mz = (1.0 - v) * 2.0 * projected_area(alpha, x, y, z) * over
     height = mz - sz
     radius, phi = np.sqrt(max(0.0, (1.0 - height) * (1.0 + height))), 2.0 * np.pi * u

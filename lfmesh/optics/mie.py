@@ -1,7 +1,7 @@
 """Scattering by homogeneous spheres (Mie), of one size or of log-normally distributed sizes.
 
-The coefficients of the multipoles are miepython's, which is checked against Wiscombe's tables (NCAR/TN-140+STR, 1979).
-The phase function is tabulated; it is linear in the cosine between nodes, whose number is doubled until it is right.
+The multipole coefficients are miepython's, which is verified against Wiscombe's tables (NCAR/TN-140+STR, 1979). The
+phase function is tabulated, linear in the cosine, with as many nodes as the error requires.
 """
 
 from collections.abc import Callable
@@ -20,33 +20,33 @@ LARGEST_SIZE = 4000.0
 """Largest size parameter, π d / λ, of a sphere."""
 
 TOLERANCE = 1e-4
-"""Share of the scattered light by which a table may differ from the function, see `_misplaced`."""
+"""Fraction of the scattered light by which a table may differ from the function; see `_misplaced`."""
 
 MOST_NODES = 1 << 18
 
 SIZES = 256
-"""Intervals of the distribution of sizes, by the trapezoidal rule: right to 1e-5 for small spheres, and to 1e-3 where
-single sizes resonate (2 µm, index 1.59, sigma 0.5)."""
+"""Intervals of the size distribution, by the trapezoidal rule: error 1e-5 for small spheres, and 1e-3 for resonances of
+single sizes (2 µm, index 1.59, sigma 0.5)."""
 
 REACH = 4.5
-"""Standard deviations to which a distribution reaches; above, beyond the shift that weighting by d⁶ makes."""
+"""Extent of a distribution in standard deviations; above the median, in addition to the shift by the weight d⁶."""
 
 _CHUNK = 4096
-"""Angles whose amplitudes are summed together, which bounds the working memory."""
+"""Number of angles summed together, to limit the working memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class MieSphere:
-    """Scattering and absorption of unpolarised light of one wavelength by spheres.
+    """Scattering and absorption of unpolarised monochromatic light by spheres.
 
     Attributes
     ----------
     phase : PhaseFunction
-        Tabulated; of a distribution of sizes the mean, weighted by the scattering cross-sections.
+        Tabulated; for a size distribution, the mean weighted by scattering cross-section.
     scattering_um2, extinction_um2 : float, µm²
-        Cross-sections; of a distribution of sizes the mean over its spheres.
+        Cross-sections; for a size distribution, the mean per sphere.
     mean_cosine : float
-        Asymmetry parameter g, by the series and not by the table.
+        Asymmetry parameter g, from the series rather than the table.
     """
 
     phase: PhaseFunction
@@ -59,24 +59,24 @@ class MieSphere:
 def mie_sphere(
     diameter_um: float, index: complex, wavelength_nm: float, surrounding_index: float = 1.0, sigma: float = 0.0
 ) -> MieSphere:
-    """Return what spheres do to light.
+    """Return the scattering and absorption of spheres.
 
     Parameters
     ----------
     diameter_um : float, µm
-        Of all spheres, or the median of a log-normal distribution of their number.
+        Diameter, or median of a log-normal number distribution.
     index : complex
         n + ik of the spheres.
     wavelength_nm : float, nm
         In vacuum.
     surrounding_index : float
     sigma : float
-        Standard deviation of ln(diameter); 0: all have one size.
+        Standard deviation of ln(diameter); 0 for a single size.
 
     Raises
     ------
     ValueError
-        Spheres are larger than `LARGEST_SIZE`.
+        Spheres exceed `LARGEST_SIZE`.
     """
     relative = complex(index.real, -abs(index.imag)) / surrounding_index
     diameters, numbers = _sizes(diameter_um, sigma)
@@ -93,7 +93,7 @@ def mie_sphere(
     whole = float(scattering.sum())
 
     def intensity(cosines: Array) -> Array:
-        """Return |S₁|² + |S₂|², the mean over the spheres: its integral goes with the cross-section (4.61, 4.77)."""
+        """Return the mean of |S₁|² + |S₂|² over the spheres; its integral gives the cross-section (4.61, 4.77)."""
         return np.asarray(
             sum(share * _brightness(a, b, cosines) for share, (a, b) in zip(numbers, spheres, strict=True) if share > 0)
         )
@@ -104,7 +104,7 @@ def mie_sphere(
 
 
 def _sizes(median: float, sigma: float) -> tuple[Array, Array]:
-    """Return the diameters of a distribution, µm, and the share of the spheres that each stands for."""
+    """Return the diameters of a distribution, µm, and the fraction of spheres that each represents."""
     if sigma == 0.0:
         return np.array([median]), np.ones(1)
     spread = np.linspace(-REACH, REACH + 6.0 * sigma, SIZES + 1)
@@ -114,7 +114,7 @@ def _sizes(median: float, sigma: float) -> tuple[Array, Array]:
 
 def _multipoles(relative: complex, x: float) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Return the coefficients a_n and b_n of a sphere of relative index n − ik and size parameter x."""
-    # Imported when asked for: it brings scipy.special.
+    # Imported on demand: it brings scipy.special.
     import miepython
 
     if relative == 1.0:
@@ -137,7 +137,7 @@ def _efficiencies(a: NDArray[np.complex128], b: NDArray[np.complex128], x: float
 
 
 def _brightness(a: NDArray[np.complex128], b: NDArray[np.complex128], cosines: Array) -> Array:
-    """Return |S₁|² + |S₂|² at some cosines of the scattering angle (Bohren & Huffman 4.74)."""
+    """Return |S₁|² + |S₂|² at cosines of the scattering angle (Bohren & Huffman 4.74)."""
     found = np.empty(len(cosines))
     for first in range(0, len(cosines), _CHUNK):
         mu = cosines[first : first + _CHUNK]
@@ -154,7 +154,7 @@ def _brightness(a: NDArray[np.complex128], b: NDArray[np.complex128], cosines: A
 
 
 def _tabulated(intensity: Intensity, size: float) -> PhaseFunction:
-    """Return a table of a function with as many maxima as the size parameter, right within `TOLERANCE`."""
+    """Tabulate a function with as many maxima as the size parameter, within `TOLERANCE`."""
     intervals = 128 * 2 ** max(0, int(np.ceil(np.log2(size / 16.0))))
     angles = np.linspace(np.pi, 0.0, intervals + 1)
     values = intensity(_cosines(angles))
@@ -170,13 +170,13 @@ def _tabulated(intensity: Intensity, size: float) -> PhaseFunction:
         angles, found = merged, np.empty_like(merged)
         found[::2], found[1::2] = values, between
         values = found
-        # Halving quarters the error of what is linear in between.
+        # Halving quarters the error of linear interpolation.
         if 0.25 * error <= TOLERANCE or len(angles) > MOST_NODES:
             return tabulated(_cosines(angles), values)
 
 
 def _misplaced(angles: Array, values: Array, middles: Array, between: Array) -> float:
-    """Return the share of the light by which linear interpolation at the middles of the intervals is off."""
+    """Return the fraction of the light misplaced by linear interpolation at interval centres."""
     cosines, at = _cosines(angles), _cosines(middles)
     t = (at - cosines[:-1]) / np.diff(cosines)
     linear = (1.0 - t) * values[:-1] + t * values[1:]

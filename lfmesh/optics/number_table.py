@@ -1,4 +1,4 @@
-"""Tables of numbers in CSV files whose first line names the columns."""
+"""Tables of numbers in CSV files with a header line."""
 
 import warnings
 from collections.abc import Sequence
@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 
 
 def read_table(path: Path, columns: Sequence[str]) -> tuple[Array, ...]:
-    """Read columns of numbers from a CSV file, quickly however long it is.
+    """Read columns of numbers from a CSV file.
 
     Parameters
     ----------
     path : Path
-        UTF-8 text; its first line names the columns, in any order, separated by commas.
+        UTF-8 text; the first line names the columns, in any order.
     columns : sequence of str
-        Names of all columns that it must have; it has no others.
+        Names of all columns.
 
     Returns
     -------
@@ -31,14 +31,14 @@ def read_table(path: Path, columns: Sequence[str]) -> tuple[Array, ...]:
     Raises
     ------
     FileError
-        It cannot be read, lacks a column or has one too many, or a cell is no number.
+        The file cannot be read, its columns are wrong, or a cell is not a number.
     """
     try:
         with open_text(path) as file:
             head = [name.strip() for name in file.readline().split(",")]
             _refuse_other_columns(path, head, columns)
             with warnings.catch_warnings():
-                # An empty table is the caller's to refuse.
+                # Empty tables are left to the caller.
                 warnings.simplefilter("ignore", UserWarning)
                 rows = np.loadtxt(file, delimiter=",", ndmin=2)
     except OSError as error:

@@ -1,9 +1,8 @@
-"""Phase functions: how light that a particle or a medium scatters is spread over the angle from its old direction.
+"""Phase functions: the angular distribution of light scattered by a particle or medium.
 
-A phase function p(μ), in 1/sr, depends on the cosine μ of the scattering angle (1: straight on) and integrates to one
-over the sphere. Light is unpolarised. What `sampled_cosine` draws has exactly the density that `evaluate_phase`
-returns: the closed forms are inverted in closed form, and a table is linear in μ between its nodes, so that the
-integral is quadratic there and its root is drawn.
+A phase function p(μ), in 1/sr, depends on the cosine μ of the scattering angle (1: forward) and integrates to one over
+the sphere. Light is unpolarised. `sampled_cosine` samples exactly the density that `evaluate_phase` returns, by closed
+forms. A table is linear in μ between its nodes, so its integral is quadratic and inverted by a root.
 """
 
 from collections.abc import Sequence
@@ -37,7 +36,7 @@ PHASE = np.dtype(
 
 @by_address
 class PhaseTables(NamedTuple):
-    """Phase functions as kernels read them."""
+    """Phase functions in the form that kernels read."""
 
     rows: NDArray[np.void]  # (phase functions, wavelengths) PHASE
     cosines: Array  # nodes of all tables, -1 to 1 within each
@@ -53,11 +52,11 @@ class PhaseFunction:
     ----------
     kind : int
     g : float
-        Of Henyey and Greenstein's form: the mean cosine.
+        Mean cosine, for Henyey-Greenstein.
     cosines : (n,) float64
-        Of a table: cosines of the scattering angle, increasing from -1 to 1.
+        Cosines of a table, increasing from -1 to 1.
     values : (n,) float64, 1/sr
-        Of a table: the phase function there.
+        Phase function at these cosines.
     """
 
     kind: int = ISOTROPIC
@@ -75,7 +74,7 @@ class PhaseFunction:
         return float(2.0 * np.pi * ((b - a) * (p * (2.0 * a + b) + q * (a + 2.0 * b)) / 6.0).sum())
 
     def at(self, cosine: ArrayLike) -> Array:
-        """Return the phase function at some cosines of the scattering angle, 1/sr."""
+        """Return the phase function at cosines of the scattering angle, 1/sr."""
         cosine = np.asarray(cosine, dtype=np.float64)
         tables, found = phase_tables([[self]]), np.empty(cosine.size)
         evaluate_phases(tables, 0, cosine.ravel(), found)
@@ -83,24 +82,24 @@ class PhaseFunction:
 
 
 def isotropic() -> PhaseFunction:
-    """Return the phase function of light that is scattered alike in all directions."""
+    """Return the phase function of isotropic scattering."""
     return PhaseFunction()
 
 
 def henyey_greenstein(g: float) -> PhaseFunction:
-    """Return Henyey and Greenstein's phase function (Astrophysical Journal 93, 70, 1941) of mean cosine g, |g| < 1."""
+    """Return the Henyey-Greenstein phase function (Astrophysical Journal 93, 70, 1941) of mean cosine g, |g| < 1."""
     if not -1.0 < g < 1.0:
         raise ValueError(f"g = {g!r}: it must lie between -1 and 1")
     return PhaseFunction(HENYEY_GREENSTEIN, float(g))
 
 
 def rayleigh() -> PhaseFunction:
-    """Return the phase function of spheres far smaller than the wavelength, 3 (1 + μ²) / (16 π)."""
+    """Return the phase function of spheres much smaller than the wavelength, 3 (1 + μ²) / (16 π)."""
     return PhaseFunction(RAYLEIGH)
 
 
 def tabulated(cosines: ArrayLike, values: ArrayLike) -> PhaseFunction:
-    """Return a phase function that is linear in the cosine between nodes, scaled to integrate to one.
+    """Return a phase function that is linear in the cosine between nodes, normalised to one.
 
     Parameters
     ----------
@@ -120,13 +119,13 @@ def read_phase(path: Path) -> PhaseFunction:
     Parameters
     ----------
     path : Path
-        CSV with the columns angle_deg, increasing from 0 to 180, and value, in any unit; between its rows the function
-        is linear in the cosine of the angle.
+        CSV with the columns angle_deg, increasing from 0 to 180, and value, in any unit; linear in the cosine between
+        its rows.
 
     Raises
     ------
     FileError
-        It cannot be read, or a number is missing or not valid.
+        The file cannot be read, or a number is missing or invalid.
     """
     angle, value = read_table(path, ("angle_deg", "value"))
     if len(angle) < 2 or angle[0] != 0.0 or angle[-1] != 180.0 or (np.diff(angle) <= 0.0).any():
@@ -141,12 +140,12 @@ def read_phase(path: Path) -> PhaseFunction:
 
 
 def phase_tables(functions: Sequence[Sequence[PhaseFunction]]) -> PhaseTables:
-    """Return phase functions as kernels read them.
+    """Return phase functions in the form that kernels read.
 
     Parameters
     ----------
     functions : (phase functions, wavelengths) sequence of PhaseFunction
-        A function that stands at several wavelengths is stored once.
+        A function used at several wavelengths is stored once.
     """
     columns = len(functions[0]) if len(functions) else 0
     rows = np.zeros((len(functions), columns), PHASE)
@@ -180,14 +179,14 @@ def evaluate_phase(phases: PhaseTables, row: Any, cosine: float) -> float:
     row : PHASE
         `phases.rows[number, colour]`.
     cosine : float
-        -1 to 1; 1 is straight on.
+        -1 to 1; 1 is forward.
     """
     if row.kind == ISOTROPIC:
         return 0.25 / np.pi
     if row.kind == RAYLEIGH:
         return 3.0 / (16.0 * np.pi) * (1.0 + cosine * cosine)
     if row.kind == HENYEY_GREENSTEIN:
-        # By the distance from the peak, which for |g| near 1 is narrower than the digits of 1 + g² − 2gμ.
+        # From the distance to the peak: for |g| near 1 it is narrower than the digits of 1 + g² − 2gμ.
         g = abs(row.g)
         off = 1.0 - (cosine if row.g >= 0.0 else -cosine)
         square = (1.0 - g) * (1.0 - g) + 2.0 * g * off
@@ -201,7 +200,7 @@ def evaluate_phase(phases: PhaseTables, row: Any, cosine: float) -> float:
 
 @kernel
 def sampled_cosine(phases: PhaseTables, row: Any, u: float) -> float:
-    """Return a cosine of the scattering angle, with the phase function's density; it increases with u.
+    """Sample a cosine from the phase function; it increases with u.
 
     Parameters
     ----------
@@ -209,7 +208,7 @@ def sampled_cosine(phases: PhaseTables, row: Any, u: float) -> float:
     row : PHASE
         `phases.rows[number, colour]`.
     u : float
-        A random number, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     if row.kind == ISOTROPIC:
         return 2.0 * u - 1.0
@@ -236,17 +235,17 @@ def sampled_cosine(phases: PhaseTables, row: Any, u: float) -> float:
 
 @kernel
 def evaluate_phases(phases: PhaseTables, colour: int, cosine: Array, found: Array) -> None:
-    """Evaluate the first phase function of tables at one of its wavelengths.
+    """Evaluate the first phase function in tables at one wavelength.
 
     Parameters
     ----------
     phases : PhaseTables
     colour : int
-        Number of the wavelength.
+        Wavelength index.
     cosine : (n,) float64
-        Of the scattering angle.
+        Cosines of the scattering angle.
     found : (n,) float64, 1/sr
-        Filled in.
+        Filled with the results.
     """
     for k in range(len(cosine)):
         found[k] = evaluate_phase(phases, phases.rows[0, colour], cosine[k])

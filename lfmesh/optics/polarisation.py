@@ -1,25 +1,25 @@
-"""Polarised light at smooth interfaces: Stokes vectors, and what bare and coated interfaces do with them.
+"""Polarised light at smooth interfaces: Stokes vectors, and the effect of bare and coated interfaces on them.
 
-Conventions. Light that travels along the unit direction d has a reference direction e square to d, and f = d × e. With
-fields that vary as exp(−iωt), E_e and E_f being the complex amplitudes along e and f,
+Light along the unit direction d has a perpendicular reference direction e, and f = d × e. Fields vary as exp(−iωt).
+With the complex amplitudes E_e and E_f along e and f,
 
     I = |E_e|² + |E_f|²,  Q = |E_e|² − |E_f|²,  U = 2 Re(E_e* E_f),  V = 2 Im(E_e* E_f).
 
-So linearly polarised light at the angle ψ from e towards f has Q = I cos 2ψ and U = I sin 2ψ; an observer whom the
-light comes to sees that angle grow counter-clockwise. Where V > 0 the same observer sees the field turn
-counter-clockwise: right-handed in the sense of IEEE and IAU, left-handed in that of Born & Wolf.
+Linear polarisation at the angle ψ from e towards f has Q = I cos 2ψ and U = I sin 2ψ; the receiver sees ψ grow
+counter-clockwise. If V > 0 the receiver sees the field rotate counter-clockwise: right-handed for IEEE and IAU,
+left-handed for Born & Wolf.
 
-At an interface the reference is s = d × n, square to the plane of incidence (n: the normal), and p = d × s for each of
-the three rays. In this basis the Mueller matrix is
+At an interface with the normal n the reference is s = d × n, perpendicular to the plane of incidence, and p = d × s for
+each of the three rays. In this basis the Mueller matrix is
 
     | (S+P)/2  (S−P)/2   0    0  |
-    | (S−P)/2  (S+P)/2   0    0  |   with the shares S and P of the power of s- and p-polarised light,
+    | (S−P)/2  (S+P)/2   0    0  |   with the power fractions S and P of s- and p-polarised light,
     |    0        0     Re ρ −Im ρ |   and ρ = r_s* r_p of the amplitudes, which for transmission are scaled to power.
     |    0        0     Im ρ  Re ρ |
 
-Transmission is the same in both directions, and so is reflection from one side, so light that is traced backwards, from
-an analyser to its source, meets the same matrices. The amplitudes have the signs of Born & Wolf, Principles of Optics,
-1.5.2 and 1.6.2: at normal incidence r_p = −r_s. The package `tmm` and most books on ellipsometry have them too.
+Transmission is the same in both directions, and so is reflection from one side, so light traced backwards meets the
+same matrices. The amplitudes have the signs of Born & Wolf, Principles of Optics, 1.5.2 and 1.6.2, of the package `tmm`
+and of most books on ellipsometry: at normal incidence r_p = −r_s.
 """
 
 from typing import NamedTuple
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 SMALL_PHASE = 1e-3
-"""Phase below which sin δ / δ is taken from its series, whose next term is then below 1e-18."""
+"""Phase below which sin δ / δ is taken from its series, with an error below 1e-18."""
 
 
 class Polarising(NamedTuple):
@@ -48,14 +48,14 @@ class Polarising(NamedTuple):
 
 @inlined
 def bare_interface(n_i: float, n_t: float, cos_i: float) -> tuple[Polarising, Polarising]:
-    """Return reflection and transmission at an interface without a coating.
+    """Return reflection and transmission at a bare interface.
 
     Parameters
     ----------
     n_i, n_t : float
-        Refractive index before and behind the interface.
+        Indices before and behind the interface.
     cos_i : float
-        Cosine of the angle of incidence, 0 to 1.
+        Cosine of incidence, 0 to 1.
     """
     if n_i == n_t:
         return Polarising(0.0, 0.0, 0.0, 0.0), Polarising(1.0, 1.0, 1.0, 0.0)
@@ -82,25 +82,23 @@ def coated_interface(
     n_i: float, n_t: float, cos_i: float, indices: ComplexArray, thicknesses: Array, colour: int, first: int,
     count: int, turned: bool, wavelength_nm: float,
 ) -> tuple[Polarising, Polarising]:  # fmt: skip
-    """Return reflection and transmission at a stack of layers, by their characteristic matrices.
-
-    The same formulas as those of `optics.coatings.polarised`, with the phases.
+    """Return reflection and transmission at a stack of layers, as in `optics.coatings.polarised` but with phases.
 
     Parameters
     ----------
     n_i, n_t, cos_i : float
-        As for `bare_interface`.
+        As in `bare_interface`.
     indices : (layers, wavelengths) complex128
         n + ik of layers.
     thicknesses : (layers,) float64, nm
     colour : int
-        Number of the wavelength.
+        Wavelength index.
     first, count : int
-        First layer of the stack, and number of its layers.
+        First layer of the stack, and number of layers.
     turned : bool
         Light meets the last layer first.
     wavelength_nm : float
-        In air, which all indices are relative to.
+        In air, the reference of all indices.
     """
     k_i = n_i * cos_i
     tangential2 = n_i * n_i * (1.0 - cos_i) * (1.0 + cos_i)
@@ -111,7 +109,7 @@ def coated_interface(
         k_t = complex(0.0, n_t * np.sqrt(sin2_t - 1.0))
     elif n_i != n_t:
         k_t = complex(n_t * np.sqrt(1.0 - sin2_t), 0.0)
-    # Tangential fields at the back of the stack: one of them 1, the other the admittance of the medium behind.
+    # Tangential fields at the back of the stack: 1, and the admittance of the medium behind.
     s_first, s_second = complex(1.0, 0.0), k_t
     p_first, p_second = complex(1.0, 0.0), k_t / (n_t * n_t)
     growth = 0.0
@@ -146,7 +144,7 @@ def coated_interface(
     )
     if total:
         return reflection, Polarising(0.0, 0.0, 0.0, 0.0)
-    # The amplitudes of transmission, scaled to power, each without a factor that the two have in common.
+    # Transmission amplitudes, scaled to power, without their common factor.
     passed = 2.0 * np.sqrt(k_i * k_t.real) * np.exp(-growth)
     t_s, t_p = passed / s_sum, passed / (n_i * n_t) / p_sum
     rho = np.conj(t_s) * t_p
@@ -157,19 +155,19 @@ def coated_interface(
 
 @inlined
 def after(way: Polarising, q: float, u: float, v: float) -> tuple[float, float, float, float]:
-    """Return the share of the power that goes one way at an interface, and its state of polarisation.
+    """Return the fraction of the power that leaves an interface one way, and its polarisation.
 
     Parameters
     ----------
     way : Polarising
     q, u, v : float
-        Q, U and V over I of the light that arrives, with the reference direction s.
+        Q, U and V over I of the incident light, with the reference direction s.
 
     Returns
     -------
     share : float
     q, u, v : float
-        Of the light that leaves, with the same reference direction; 0 where none leaves.
+        Q, U and V over I of the outgoing light, with the same reference; 0 without light.
     """
     s, p = 0.5 * max(0.0, 1.0 + q) * way.s, 0.5 * max(0.0, 1.0 - q) * way.p
     share = s + p
@@ -177,7 +175,7 @@ def after(way: Polarising, q: float, u: float, v: float) -> tuple[float, float, 
         return 0.0, 0.0, 0.0, 0.0
     over = 1.0 / share
     q, u, v = (s - p) * over, (way.real * u - way.imaginary * v) * over, (way.imaginary * u + way.real * v) * over
-    # Close to complete polarisation rounding may exceed it, by much where nearly nothing is left.
+    # Near complete polarisation, rounding may exceed it, considerably if almost no light is left.
     size2 = q * q + u * u + v * v
     if size2 > 1.0:
         scale = 1.0 / np.sqrt(size2)
@@ -187,14 +185,14 @@ def after(way: Polarising, q: float, u: float, v: float) -> tuple[float, float, 
 
 @inlined
 def turned(q: float, u: float, cosine: float, sine: float) -> tuple[float, float]:
-    """Return Q and U over I with another reference direction.
+    """Return Q and U over I for another reference direction.
 
     Parameters
     ----------
     q, u : float
-        With the first reference direction, e.
+        For the first reference direction, e.
     cosine, sine : float
-        Components of the new direction along e and f, of any common length but 0.
+        Components of the new direction along e and f, with any nonzero norm.
     """
     size2 = cosine * cosine + sine * sine
     double_cosine, double_sine = (cosine - sine) * (cosine + sine) / size2, 2.0 * cosine * sine / size2

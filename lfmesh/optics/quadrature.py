@@ -1,4 +1,4 @@
-"""Nodes and weights of Gauss and Legendre's quadrature, computed once for each number of nodes."""
+"""Cached nodes and weights of Gauss-Legendre quadrature."""
 
 from functools import lru_cache
 
@@ -10,9 +10,9 @@ Array = NDArray[np.float64]
 
 @lru_cache(maxsize=64)
 def gauss_legendre(count: int) -> tuple[Array, Array]:
-    """Return the nodes in (-1, 1) and the weights, whose sum is 2, each (count,); both are read-only.
+    """Return the nodes in (-1, 1) and the weights, which sum to 2, each (count,); both are read-only.
 
-    numpy finds the nodes as eigenvalues, which takes milliseconds: much longer than what is integrated by them.
+    numpy finds the nodes as eigenvalues, which takes milliseconds.
 
     Parameters
     ----------

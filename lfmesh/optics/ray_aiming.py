@@ -1,14 +1,12 @@
 """Ray aiming: find the ray of a two-parameter family that lands on a given point.
 
-The two numbers of a ray are, for example, the slopes at which it leaves a point, or the place at which it enters the
-lens. Targets are apexes of the array, points of the stop, or image points. The method is Newton's, with a derivative
-that every traced ray improves (C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations", Math.
-Comp. 19 (1965) 577).
+The parameters are, for example, a ray's slopes at a point or its entry point on the lens. Targets are apexes of the
+array, points of the stop, or image points. The method is Newton's, with a derivative that every traced ray improves
+(C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations", Math. Comp. 19 (1965) 577).
 
-`aim_rays` needs a good guess. `continue_rays` needs none: it starts from rays that are known and follows them while
-their targets move, by steps that are halved where Newton's method does not contract (P. Deuflhard, Newton Methods for
-Nonlinear Problems, 2004, chapter 5). A ray that cannot be followed to the end has come to an edge, whose
-place is known.
+`aim_rays` needs a good guess. `continue_rays` needs none: it starts from known rays and follows them while their
+targets move, with steps that are halved if Newton's method does not contract (P. Deuflhard, Newton Methods for
+Nonlinear Problems, 2004, chapter 5). A ray that cannot be followed to the end locates an edge.
 """
 
 from collections.abc import Callable
@@ -19,46 +17,46 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Landing = Callable[[Array, NDArray[np.int64]], Array]
-"""Maps the two numbers of rays (m, 2), and the indices of these rays (m,), to landing points (m, 2), mm; NaN: lost."""
+"""Maps parameters of rays (m, 2) and ray indices (m,) to landing points (m, 2), mm; NaN: lost."""
 
 TOLERANCE = 1e-12
-"""Miss, relative to the target's size, at which a ray is not improved further."""
+"""Miss, relative to the target's size, at which a ray is accepted without further steps."""
 
 ARRIVED = 1e-7
-"""Miss, relative to the target's size, up to which a ray counts as arrived; across facets none may come closer."""
+"""Miss, relative to the target's size, within which a ray counts as arrived; facets may allow no better."""
 
 MOST_STEPS = 24
-"""Largest number of Newton steps; through smooth surfaces four to six are enough."""
+"""Maximum number of Newton steps; for smooth surfaces four to six suffice."""
 
 FRUITLESS = 3
-"""Steps in a row without improvement after which a ray is given up; steps that land nowhere are halved instead."""
+"""Number of consecutive steps without improvement that end a search; steps that lose the ray are halved instead."""
 
 
 CONTRACTION = 0.5
-"""Ratio of the misses before and after each of Newton's steps up to which a continued ray stays on its branch."""
+"""Largest ratio of a Newton step's miss to the previous one that keeps a continued ray on its branch."""
 
 LEAST_STRIDE = 1e-6
-"""Shortest step of a continuation, over the whole way."""
+"""Shortest continuation step, relative to the whole path."""
 
 MOST_STRIDES = 128
-"""Strides that are tried; 80 are the most that fields of lenses took, up to their edges. A ray whose strides
-neither grow nor end, as on a surface that is all but a ridge, stays where it is: its aiming does not converge."""
+"""Maximum number of strides; fields of lenses took at most 80, up to their edges. A ray with strides that neither grow
+nor end, as on a surface that is nearly a ridge, stays where it is: its aiming does not converge."""
 
 CORRECTIONS = 12
-"""Largest number of Newton's steps in one step of a continuation."""
+"""Maximum number of Newton steps per continuation step."""
 
 
 class AimedRays(NamedTuple):
-    """The best rays that a search found.
+    """The best rays found by a search.
 
     Attributes
     ----------
     start : (n, 2) float64
-        The two numbers of each ray; NaN where not even the first guess landed anywhere.
+        Parameters of each ray; NaN if not even the first guess landed.
     miss : (n,) float64, mm
         Distance of the landing point from the target.
     arrived : (n,) bool
-        Whether the ray lands on its target.
+        True if the ray lands on its target.
     """
 
     start: Array
@@ -74,14 +72,14 @@ def aim_rays(landing: Landing, targets: Array, guess: Array, derivative: Array |
     landing : callable
         Traces rays; see `Landing`.
     targets : (n, 2) float64, mm
-        Points on which the rays shall land.
+        Points to land on.
     guess : (n, 2) float64
-        Initial numbers of each ray.
+        Initial parameters of each ray.
     derivative : (n, 2, 2) float64, or float
-        Derivative of the landing point by the two numbers, near the guess: [i, j] of coordinate i by number j. A float
-        is the step with which it is found from finite differences, which costs two more rays for each.
+        Derivative of the landing point near the guess: [i, j] of coordinate i by parameter j. A float is a
+        finite-difference step, at the cost of two extra rays each.
     size : float or (n,) float64, mm
-        Size of the target, which tolerances are relative to.
+        Size of the target, the unit of tolerances.
     """
     size = np.broadcast_to(np.asarray(size, dtype=np.float64), len(targets))
     start = guess.copy()
@@ -116,11 +114,11 @@ class ContinuedRays(NamedTuple):
     Attributes
     ----------
     start : (n, 2) float64
-        The two numbers of each ray, as far as it was followed.
+        Parameters of each ray, as far as it was followed.
     derivative : (n, 2, 2) float64
-        Of the miss by these numbers, there.
+        Derivative of the miss there.
     share : (n,) float64
-        Of the way; 1 where the ray was followed to the end.
+        Fraction of the path; 1 at its end.
     """
 
     start: Array
@@ -129,34 +127,34 @@ class ContinuedRays(NamedTuple):
 
     @property
     def arrived(self) -> NDArray[np.bool_]:
-        """(n,): whether rays were followed to the end."""
+        """(n,): True for rays that were followed to the end."""
         return np.asarray(self.share >= 1.0)
 
 
 Miss = Callable[[Array, Array, NDArray[np.int64]], Array]
-"""Maps the numbers of rays (m, 2), shares of the way (m,) and the indices of these rays (m,) to misses (m, 2), mm."""
+"""Maps parameters of rays (m, 2), fractions of the path (m,) and ray indices (m,) to misses (m, 2), mm."""
 
 
 def continue_rays(
     miss: Miss, start: Array, difference: float, size: float, derivative: Array | None = None
 ) -> ContinuedRays:
-    """Follow rays from targets that they hit to others, along a way from 0 to 1.
+    """Follow rays from targets that they hit to others, along a path from 0 to 1.
 
-    A ray never leaves its branch: steps are short enough for Newton's method to contract, and the sign of the
-    derivative's determinant stays. Where a branch ends, at the border of the map or at a fold, the ray stays.
+    A ray never leaves its branch: steps are short enough for Newton's method to contract, and the derivative's
+    determinant keeps its sign. At the end of a branch, a border or a fold, the ray stays.
 
     Parameters
     ----------
     miss : callable
         Traces rays; see `Miss`. NaN: lost.
     start : (n, 2) float64
-        Numbers of rays whose miss at the share 0 is zero.
+        Parameters of rays with zero miss at the fraction 0.
     difference : float
-        Step in the numbers by which derivatives are taken.
+        Step in the parameters for finite differences.
     size : float, mm
-        Size of the target, which tolerances are relative to.
+        Size of the target, the unit of tolerances.
     derivative : (n, 2, 2) float64, optional
-        Of the misses at the share 0, if it is known.
+        Derivative of the misses at the fraction 0, if known.
     """
     start, share, stride = start.copy(), np.zeros(len(start)), np.ones(len(start))
     if derivative is None:
@@ -164,7 +162,7 @@ def continue_rays(
     derivative = derivative.copy()
     known = np.isfinite(derivative).all(axis=(1, 2))
     for _ in range(MOST_STRIDES):
-        # At a border derivatives cannot be had by differences: the ray stays there.
+        # Finite differences fail at a border: the ray stays there.
         active = np.flatnonzero(known & (share < 1.0) & (stride >= LEAST_STRIDE))
         if not len(active):
             break
@@ -182,7 +180,7 @@ def continue_rays(
 def _corrected(
     miss: Miss, start: Array, derivative: Array, share: Array, which: NDArray[np.int64], size: float
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return where Newton's method leads from rays (m, 2), and whether it contracts all the way."""
+    """Apply Newton's method to rays (m, 2); return the new parameters, and whether it contracts throughout."""
     start, derivative = start.copy(), derivative.copy()
     off = miss(start, share, which)
     left = _length(off)
@@ -196,7 +194,7 @@ def _corrected(
         new = miss(trial, share[active], which[active])
         new_left = _length(new)
         contracts = new_left <= CONTRACTION * left[active]
-        # Rounding ends the contraction of rays that have arrived.
+        # Rounding ends the contraction of arrived rays.
         settled = ~contracts & (left[active] <= ARRIVED * size)
         follows[active] = contracts | settled
         left[active[settled]] = 0.0
@@ -209,7 +207,7 @@ def _corrected(
 
 
 def _derivative(miss: Miss, start: Array, share: Array, which: NDArray[np.int64], difference: float) -> Array:
-    """Return the derivative (m, 2, 2) of misses by the numbers of rays, by central differences."""
+    """Return the derivative (m, 2, 2) of misses by the parameters of rays, by central differences."""
     sides = difference * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     four = miss((start + sides[:, None]).reshape(-1, 2), np.tile(share, 4), np.tile(which, 4)).reshape(4, -1, 2)
     return np.stack([(four[0] - four[1]), (four[2] - four[3])], axis=2) / (2.0 * difference)
@@ -220,7 +218,7 @@ def _determinant(matrices: Array) -> Array:
 
 
 def _first(landing: Landing, guess: Array, derivative: Array | float) -> tuple[Array, Array]:
-    """Return where the guessed rays land, (n, 2), and the derivative there, (n, 2, 2)."""
+    """Return the landing points of the guessed rays, (n, 2), and the derivative there, (n, 2, 2)."""
     every = np.arange(len(guess))
     if isinstance(derivative, np.ndarray):
         return landing(guess, every), derivative.copy()
@@ -230,7 +228,7 @@ def _first(landing: Landing, guess: Array, derivative: Array | float) -> tuple[A
 
 
 def _solved(derivative: Array, error: Array) -> Array:
-    """Return Newton's steps (n, 2) for errors (n, 2); not finite where the derivative is singular."""
+    """Return Newton steps (n, 2) for errors (n, 2); not finite if the derivative is singular."""
     (a, b), (c, d) = derivative[:, 0].T, derivative[:, 1].T
     with np.errstate(divide="ignore", invalid="ignore"):
         over = 1.0 / (a * d - b * c)

@@ -19,13 +19,13 @@ COLUMNS = ("wavelength_nm", "angle_deg", "reflectance")
 
 @dataclass(frozen=True)
 class ReflectanceTable:
-    """Reflectance at wavelengths and angles, which both increase.
+    """Reflectance by wavelength and angle, both increasing.
 
     Attributes
     ----------
     wavelengths_nm : (w,) float64
     cosines : (a,) float64
-        Of the angles from 90 to 0 degrees.
+        Cosines of the angles from 90 to 0 degrees.
     reflectance : (w, a) float64
     """
 
@@ -42,19 +42,19 @@ class ReflectanceTable:
         Parameters
         ----------
         wavelengths_nm, angles_deg : sequence of float
-            Increasing, the angles from 0 to 90 degrees.
+            Increasing; angles from 0 to 90 degrees.
         reflectance : sequence of sequence of float
-            For each wavelength that at each angle.
+            One row per wavelength, one value per angle.
         """
         cosines = np.cos(np.radians(angles_deg))[::-1]
         cosines[0] = 0.0
         return cls(np.array(wavelengths_nm), cosines, np.array(reflectance)[:, ::-1])
 
     def at(self, wavelength_nm: float, cosine: Array) -> Array:
-        """Return the reflectance at a wavelength of the table's range, by the cosine of the angle, 0 to 1.
+        """Return the reflectance at a wavelength within the table, by cosine, 0 to 1.
 
-        Linear between wavelengths; between angles monotone cubic polynomials in the cosine (Fritsch and Carlson, SIAM
-        Journal on Numerical Analysis 17, 1980), which do not overshoot.
+        Linear in wavelength; monotone cubic in the cosine (Fritsch and Carlson, SIAM Journal on Numerical Analysis 17,
+        1980), without overshoot.
         """
         from scipy.interpolate import PchipInterpolator
 
@@ -68,13 +68,13 @@ def read_reflectance(path: Path) -> ReflectanceTable:
     Parameters
     ----------
     path : Path
-        CSV with the columns wavelength_nm, angle_deg and reflectance, in any order of columns and rows. Every angle
-        stands at every wavelength, and the angles reach from 0 to 90 degrees, where every surface reflects 1.
+        CSV with the columns wavelength_nm, angle_deg and reflectance, in any order of columns and rows. The angles, the
+        same at every wavelength, range from 0 to 90 degrees, where the reflectance is 1.
 
     Raises
     ------
     FileError
-        It cannot be read; a number is missing or out of its range; angles are missing.
+        The file cannot be read, or a number or angle is missing or out of range.
     """
     try:
         text = read_text(path)
@@ -114,7 +114,7 @@ def read_reflectance(path: Path) -> ReflectanceTable:
 
 
 def _numbers(path: Path, number: int, head: list[str], row: list[str]) -> tuple[float, float, float]:
-    """Return wavelength, angle and reflectance of a row of the file."""
+    """Return wavelength, angle and reflectance of a row."""
     if len(row) != len(head):
         raise FileError(f"{path}: row {number} has {len(row)} values; it must have {len(head)}")
     found = dict(zip(head, row, strict=True))

@@ -1,9 +1,9 @@
 """Reflectance spectra of RGB colours.
 
-A colour of linear sRGB is a sum of three smooth spectra, one for each primary, that lie within 0 and 1 and sum to 1 at
-every wavelength: any colour within the gamut is a possible reflectance, grey is the same at all wavelengths, and under
-illuminant D65 the CIE 1931 observer sees the colour that was meant. Spectra: I. Mallett, C. Yuksel, "Spectral Primary
-Decomposition for Rendering with sRGB Reflectance", EGSR 2019.
+A linear sRGB colour is a sum of three smooth spectra, one per primary, that lie between 0 and 1 and sum to 1 at every
+wavelength. Any colour in the gamut is a possible reflectance, grey is spectrally flat, and the CIE 1931 observer sees
+the intended colour under D65. Spectra: I. Mallett, C. Yuksel, "Spectral Primary Decomposition for Rendering with sRGB
+Reflectance", EGSR 2019.
 """
 
 from functools import cache
@@ -21,8 +21,7 @@ def primary_reflectances(wavelength_nm: float) -> Array:
     Parameters
     ----------
     wavelength_nm : float, nm
-        Outside 380 to 780 nm an RGB value says nothing; there the reflectances are those at the nearer end, where the
-        three are nearly alike.
+        Outside 380 to 780 nm the values at the nearer end, which are nearly equal, are returned.
     """
     table = _basis()
     each = np.array([np.interp(wavelength_nm, table[:, 0], spectrum) for spectrum in table[:, 1:].T])

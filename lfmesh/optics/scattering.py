@@ -38,7 +38,7 @@ def about(nx: float, ny: float, nz: float, cos_theta: float, phi: float) -> tupl
 
 @kernel
 def near(nx: float, ny: float, nz: float, height: float, phi: float) -> tuple[float, float, float]:
-    """Return what `about` does, given 1 − cos θ, which tells angles apart whose cosines are 1 to rounding.
+    """Return the direction as in `about`, given 1 − cos θ, even for angles with a cosine that rounds to 1.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def near(nx: float, ny: float, nz: float, height: float, phi: float) -> tuple[fl
 def _turned(
     nx: float, ny: float, nz: float, cos_theta: float, sin_theta: float, phi: float
 ) -> tuple[float, float, float]:
-    """Return what `about` does, given both cosine and sine of θ."""
+    """Return the direction as in `about`, given cosine and sine of θ."""
     ux, uy, uz, vx, vy, vz = tangents(nx, ny, nz)
     a, b = sin_theta * np.cos(phi), sin_theta * np.sin(phi)
     return (
@@ -68,13 +68,13 @@ def _turned(
 
 @kernel
 def lambertian(nx: float, ny: float, nz: float, u: float, v: float) -> tuple[float, float, float]:
-    """Return a unit direction about a unit normal with density cos θ / π (the paper's equation 1: cos 2θ = 1 − 2u).
+    """Sample a unit direction about a unit normal with density cos θ / π (the paper's equation 1: cos 2θ = 1 − 2u).
 
     Parameters
     ----------
     nx, ny, nz : float
         The normal.
     u, v : float
-        Random numbers, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     return about(nx, ny, nz, np.sqrt(1.0 - u), 2.0 * np.pi * v)

@@ -1,6 +1,6 @@
-"""Ranges of heights and second derivatives of biconics and toroids, from the ranges of what they are made of.
+"""Ranges of heights and second derivatives of biconics and toroids, from the ranges of their parts.
 
-Surfaces of a scene and of a camera's geometry have cells of different coordinates, in which they bound these parts.
+Scenes and camera geometry use cells in different coordinates but bound the same parts.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from lfmesh.optics.bounds import Range, plus, scaled, times
 
 
 class BiconicParts(NamedTuple):
-    """Parts of a biconic with the curvatures c_x and c_y, and a_x = (1 + k_x) c_x², a_y likewise, in cells.
+    """Parts of a biconic in cells, with the curvatures c_x and c_y, a_x = (1 + k_x) c_x², and a_y likewise.
 
     Attributes
     ----------
@@ -44,7 +44,6 @@ class BiconicParts(NamedTuple):
         Parameters
         ----------
         c, a : float, 1/mm and 1/mm²
-            Of this coordinate.
         """
         return plus(scaled(c, self.share), scaled(0.5 * a, times(self.bulge, self.first)))
 
@@ -54,7 +53,6 @@ class BiconicParts(NamedTuple):
         Parameters
         ----------
         c, a : float, 1/mm and 1/mm²
-            Of this coordinate.
         square, bent : Range, mm² and mm
             x², and 4 c x² + q.
         """
@@ -67,7 +65,7 @@ class BiconicParts(NamedTuple):
         Parameters
         ----------
         c, a : (float, float), 1/mm and 1/mm²
-            Of x and of y.
+            Values for x and y.
         """
         return plus(scaled(2.0 * (c[0] * a[1] + c[1] * a[0]), self.first), scaled(a[0] * a[1], self.rest))
 
@@ -95,7 +93,7 @@ def toroid_height(c_x: float, f: Range, x2: Range, u: Range, v: Range) -> Range:
     ----------
     c_x : float, 1/mm
     f, x2 : Range, mm and mm²
-        Its curve f(y), and x².
+        Curve f(y), and x².
     u, v : Range
         1 − c_x f and √(u² − c_x² x²).
     """
@@ -104,7 +102,7 @@ def toroid_height(c_x: float, f: Range, x2: Range, u: Range, v: Range) -> Range:
 
 
 def toroid_seconds(c_x: float, along: Range, over: Range, steep2: Range, bend: Range) -> tuple[Range, Range, Range]:
-    """Return the second derivative c_x u² / v³ of a toroid by x, and two parts of that by y, c_x e² / v and f″ u / v.
+    """Return a toroid's second derivative by x, c_x u² / v³, and two parts of that by y, c_x e² / v and f″ u / v.
 
     Parameters
     ----------

@@ -1,13 +1,13 @@
-"""Tables of a coating's reflectance and transmittance by angle, from which kernels interpolate.
+"""Tables of a coating's reflectance and transmittance by angle, for kernels.
 
-One table serves both sides of a coating between two media. Its variable is the cosine m in the thinner medium, where
-angles are larger: light from the denser medium reaches m = 0 at its critical angle, which so is an end of the table.
-As functions of √m the shares have no root left at that end, and the steep part near grazing incidence is spread. Under
-total reflection an absorbing coating still reflects less than everything; that branch is a function of
-u = s / (1 + √(1 − s²)), s the cosine over that of the critical angle, which takes the roots from both of its ends.
+One table serves both sides of a coating between two media. Its variable is the cosine m in the thinner medium, which
+has the larger angles: light from the denser medium reaches m = 0, an end of the table, at its critical angle. In √m
+there is no square root at that end, and the steep part near grazing incidence is spread out. Under total reflection an
+absorbing coating reflects less than 1; that branch is a function of u = s / (1 + √(1 − s²)), with s the cosine over
+that of the critical angle, which removes the square roots at both ends.
 
-The range is cut into equal pieces, each with the polynomial through Chebyshev's nodes. The number of pieces is doubled
-until the error, measured between the nodes, is below `TOLERANCE`.
+The range is cut into equal pieces with polynomials through Chebyshev nodes. Their number is doubled until the error
+between nodes is below `TOLERANCE`.
 """
 
 from collections.abc import Callable
@@ -22,22 +22,22 @@ from lfmesh.kernels.vector import select
 Array = NDArray[np.float64]
 
 TERMS = 6
-"""Coefficients of a piece's polynomial, in the distance from the middle of the piece."""
+"""Number of coefficients of a piece's polynomial, in the distance from its centre."""
 
 TOLERANCE = 1e-8
-"""Interpolation error at which no more pieces are tried."""
+"""Interpolation error at which the number of pieces is sufficient."""
 
 ALLOWED = 1e-6
-"""Largest interpolation error of a table of layers that is used."""
+"""Largest acceptable interpolation error of a table of layers."""
 
 ALLOWED_MEASURED = 1e-3
-"""The same for a measured table, whose values are hardly better known: noise at many angles is not smooth in u."""
+"""The same for a measured table, which is hardly more accurate: noise over many angles is not smooth in u."""
 
 MOST_PIECES = 8192
 
 FROM_THIN, FROM_DENSE, PASSED, TOTAL = 0, 1, 2, 3
 """Quantities of a table: reflectance from the thinner and the denser medium, transmittance, and reflectance under total
-reflection. Where nothing is absorbed, the first alone says all."""
+reflection. Without absorption, the first one determines all."""
 
 _CHECKED = np.concatenate([[0.0, 1.0], 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 2 * TERMS) / (2 * TERMS))])
 
@@ -46,19 +46,19 @@ Shares = Callable[[Array, bool], Array]
 
 
 class TooManyPiecesError(Exception):
-    """The shares change with the angle too fast for the largest table; its argument is the error."""
+    """Values change too fast with the angle for the largest table; the argument is the error."""
 
 
 @dataclass(frozen=True)
 class ShareTable:
-    """The shares of a coating between two media at one wavelength.
+    """Reflectance and transmittance of a coating between two media at one wavelength.
 
     Attributes
     ----------
     coefficients : (quantities, pieces, TERMS) float64
-        One quantity, `FROM_THIN`, if nothing is absorbed; else all four.
+        Only `FROM_THIN` if nothing is absorbed, else all four.
     error : float
-        Largest error of interpolation that was found.
+        Largest interpolation error found.
     """
 
     coefficients: Array
@@ -71,23 +71,23 @@ class ShareTable:
 
 
 def constant(reflectance: float) -> ShareTable:
-    """Return the table of a coating that reflects the same share at every angle and absorbs nothing."""
+    """Return the table of a coating with constant reflectance and no absorption."""
     coefficients = np.zeros((1, 1, TERMS))
     coefficients[0, 0, 0] = reflectance
     return ShareTable(coefficients, 0.0)
 
 
 def tabulated(shares: Shares, absorbs: bool, least: int = 1, allowed: float = ALLOWED) -> ShareTable:
-    """Tabulate the shares of a coating.
+    """Tabulate the reflectance and transmittance of a coating.
 
     Parameters
     ----------
     shares : callable
     absorbs : bool
     least : int
-        Pieces to have at least, a power of 2.
+        Minimum number of pieces, a power of 2.
     allowed : float
-        Largest error of interpolation.
+        Largest interpolation error.
 
     Raises
     ------
@@ -121,9 +121,9 @@ def _fitted(shares: Callable[[Array], Array], pieces: int) -> tuple[Array, float
 
 @pasted
 def place_in_table(u: float, pieces: int) -> tuple[float, float]:
-    """Return the number of the piece that holds a value of a table's variable, and the distance from its middle.
+    """Return the piece that contains a value of the table's variable, and the distance from its centre.
 
-    Without branches, so that loops over many rays become vector instructions; what is no number is in the first piece.
+    Without branches, so that loops over rays are vectorised; NaN falls into the first piece.
     """
     place = select(u > 0.0, select(u < 1.0, u, 1.0), 0.0) * pieces
     piece = np.floor(place)
@@ -138,9 +138,9 @@ def variable_under_total_reflection(n_i: float, n_t: float, cos_i: float) -> flo
     Parameters
     ----------
     n_i, n_t : float
-        Index before and behind the coating, the second one smaller.
+        Indices before and behind the coating, the second one smaller.
     cos_i : float
-        Cosine of the angle of incidence.
+        Cosine of incidence.
     """
     s2 = cos_i * cos_i * n_i * n_i / ((n_i - n_t) * (n_i + n_t))
     s2 = select(s2 < 1.0, s2, 1.0)
@@ -149,29 +149,29 @@ def variable_under_total_reflection(n_i: float, n_t: float, cos_i: float) -> flo
 
 @inlined
 def side_of_table(n_i: float, n_t: float, outward: bool) -> int:
-    """Return the quantity of a table that is the reflectance from a side.
+    """Return the table quantity that is the reflectance from a side.
 
     Parameters
     ----------
     n_i, n_t, outward
-        As for `coated_shares`.
+        As in `coated_shares`.
     """
     return FROM_DENSE if n_i > n_t or (n_i == n_t and outward) else FROM_THIN
 
 
 @inlined
 def looked_up(parameters: Array, first: int, pieces: int, colour: int, u: float) -> float:
-    """Return a share, 0 to 1, from the polynomials of one quantity.
+    """Evaluate one quantity, 0 to 1, from its polynomials.
 
     Parameters
     ----------
     parameters : (n, wavelengths) float64
     first, pieces : int
-        Row of the quantity's first coefficient, and number of its pieces.
+        Row of the quantity's first coefficient, and number of pieces.
     colour : int
-        Number of the wavelength.
+        Wavelength index.
     u : float
-        The variable, 0 to 1.
+        Variable, 0 to 1.
     """
     piece, x = place_in_table(u, pieces)
     at = first + TERMS * int(piece)
@@ -195,18 +195,16 @@ def coated_shares(
     ----------
     parameters : (n, wavelengths) float64
     first, pieces : int
-        Row of the table's first coefficient, and its number of pieces.
+        Row of the table's first coefficient, and number of pieces.
     absorbs : bool
-        The table has all quantities, not the first alone.
+        True if the table has all quantities.
     colour : int
-        Number of the wavelength.
+        Wavelength index.
     n_i, n_t, cos_i, cos_t : float
         Index and cosine before and behind the coating.
     total : bool
-        Reflection is total.
     outward : bool
-        Light comes from the side that the layers end with. Between equal indices the first side counts as the thinner
-        medium.
+        Light comes from the last layer's side. Between equal indices the first side counts as the thinner medium.
     """
     size = TERMS * pieces
     if total:

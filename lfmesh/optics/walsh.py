@@ -1,25 +1,25 @@
-"""Hemispherical reflectance of an interface for diffuse light, by Walsh's closed form of the integral of Fresnel.
+"""Hemispherical reflectance of an interface for diffuse light, by Walsh's closed form of the Fresnel integral.
 
-A rough interface in the sense of a diffuse `finish` reflects this share of what arrives and transmits the rest.
+A diffuse `finish` reflects this fraction of the light and transmits the rest.
 """
 
 from decimal import Decimal, localcontext
 
 DIGITS = 120
-"""Decimal digits. Near equal indices the formula's terms grow as 1 / (n − 1), and their sum vanishes as n − 1 does, so
-that float64 would keep few digits. It is evaluated once for each face and wavelength, so time does not matter."""
+"""Decimal digits. Near equal indices the formula's terms grow as 1 / (n − 1) while their sum vanishes as n − 1, so
+float64 would keep few digits. Evaluated once per face and wavelength, it need not be fast."""
 
 
 def diffuse_reflectance(n_i: float, n_t: float) -> float:
-    """Return the share of diffuse light that an interface reflects; the paper's equation 4.
+    """Return the fraction of diffuse light that an interface reflects; the paper's equation 4.
 
-    Walsh (1926), as in Duntley, J. Opt. Soc. Am. 32, 61 (1942). From the dense side 1 − (1 − ρ) / n², since both sides
-    exchange equal shares of basic radiance.
+    Walsh (1926), as in Duntley, J. Opt. Soc. Am. 32, 61 (1942). From the dense side it is 1 − (1 − ρ) / n², because
+    both sides exchange equal basic radiance.
 
     Parameters
     ----------
     n_i, n_t : float
-        Refractive index on the side that the light comes from, and on the other.
+        Indices on the incident side and on the other side.
 
     Returns
     -------

@@ -66,7 +66,14 @@ class LensletArray:
 
 
 def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletArray:
-    """Return the microlens array of a scene, with its face towards the lens at `face_z`, mm."""
+    """Return the microlens array of a scene whose face towards the lens stands at `face_z`.
+
+    Parameters
+    ----------
+    scene : Scene
+    face_z : float, mm
+    wavelength_nm : float, nm
+    """
     mla = scene.camera.mla
     assert mla is not None
     lattice = Lattice(

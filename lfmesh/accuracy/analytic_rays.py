@@ -31,7 +31,14 @@ def turned(tilt_deg: ArrayLike) -> NDArray[np.float64]:
 
 
 def into_frame(rays: Rays, turn: NDArray[np.float64], origin: NDArray[np.float64]) -> tuple[Array, Array]:
-    """Return positions and directions in a frame with its origin at `origin`, mm, turned by `turn` (3, 3)."""
+    """Return positions and directions in a frame that stands at `origin`, turned by `turn`.
+
+    Parameters
+    ----------
+    rays : Rays
+    turn : (3, 3) float64
+    origin : (3,) float64, mm
+    """
     kind = rays.p.dtype
     # The columns of the turn are the frame's axes: a row vector times it has the frame's coordinates.
     axes = turn.astype(kind)
@@ -39,7 +46,15 @@ def into_frame(rays: Rays, turn: NDArray[np.float64], origin: NDArray[np.float64
 
 
 def out_of_frame(p: Array, d: Array, turn: NDArray[np.float64], origin: NDArray[np.float64]) -> tuple[Array, Array]:
-    """Return positions and directions in the outer frame; the inverse of `into_frame`."""
+    """Return positions and directions from a frame back in that in which it stands.
+
+    Parameters
+    ----------
+    p, d : (n, 3) float
+        Positions, mm, and directions in the frame.
+    turn : (3, 3) float64
+    origin : (3,) float64, mm
+    """
     back = turn.astype(p.dtype).T
     return p @ back + origin.astype(p.dtype), d @ back
 

@@ -56,9 +56,14 @@ def draw_error_against_triangles(axes: Any, rows: Sequence[LensRow], pixel_mm: f
 
 
 def draw_error_against_time(axes: Any, rows: Sequence[LensRow], pixel_mm: float) -> None:
-    """Draw landing error against time per event, one line per level, with its coarsest and finest mesh labelled.
+    """Draw landing error against the time of an event, one line for each level, its coarsest and finest mesh named.
 
-    For the parameters, see `draw_error_against_triangles`.
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    rows : sequence of LensRow
+    pixel_mm : float, mm
+        Pitch of the sensor; a tenth of it is marked.
     """
     for level, of_level in _by_level(rows):
         x = [1e9 / row.events_per_second for row in of_level]
@@ -79,7 +84,15 @@ def draw_error_against_time(axes: Any, rows: Sequence[LensRow], pixel_mm: float)
 
 
 def draw_image_error(axes: Any, rows: Sequence[ImageRow], reference_error: float) -> None:
-    """Draw an image's relative error against CPU time, one line per estimator, and the reference's own error."""
+    """Draw an image's relative error against processor time, one line for each way to estimate it.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    rows : sequence of ImageRow
+    reference_error : float
+        Relative error of the reference itself.
+    """
     for name, of_way, colour, marker in _by_way(rows):
         x, y = [row.seconds for row in of_way], [row.mse**0.5 for row in of_way]
         bars = [0.5 * row.mse_error / row.mse**0.5 for row in of_way]
@@ -110,17 +123,41 @@ def draw_efficiency(axes: Any, rows: Sequence[ImageRow]) -> None:
 
 
 def error_against_triangles(rows: Sequence[LensRow], title: str, pixel_mm: float) -> str:
-    """Return the figure of `draw_error_against_triangles` as SVG."""
+    """Return the figure of `draw_error_against_triangles` as SVG.
+
+    Parameters
+    ----------
+    rows : sequence of LensRow
+    title : str
+    pixel_mm : float, mm
+        Pitch of the sensor; a tenth of it is marked.
+    """
     return _svg(lambda axes: draw_error_against_triangles(axes, rows, pixel_mm), title)
 
 
 def error_against_time(rows: Sequence[LensRow], title: str, pixel_mm: float) -> str:
-    """Return the figure of `draw_error_against_time` as SVG."""
+    """Return the figure of `draw_error_against_time` as SVG.
+
+    Parameters
+    ----------
+    rows : sequence of LensRow
+    title : str
+    pixel_mm : float, mm
+        Pitch of the sensor; a tenth of it is marked.
+    """
     return _svg(lambda axes: draw_error_against_time(axes, rows, pixel_mm), title)
 
 
 def image_error_against_time(rows: Sequence[ImageRow], title: str, reference_error: float) -> str:
-    """Return the figure of `draw_image_error` as SVG."""
+    """Return the figure of `draw_image_error` as SVG.
+
+    Parameters
+    ----------
+    rows : sequence of ImageRow
+    title : str
+    reference_error : float
+        Relative error of the reference itself.
+    """
     return _svg(lambda axes: draw_image_error(axes, rows, reference_error), title)
 
 

@@ -118,7 +118,16 @@ def crop(scene: Scene, side: int, at_mm: tuple[float, float]) -> Scene:
 
 
 def sampled(scene: Scene, samples: int, replicates: int, seed: int) -> Image:
-    """Render with other samples (per pixel, in all), replicates and seed; different seeds share no random number."""
+    """Render with other samples, replicates and seed; images of different seeds share no random number.
+
+    Parameters
+    ----------
+    scene : Scene
+    samples : int
+        A pixel, in all.
+    replicates : int
+    seed : int
+    """
     changes = {"samples": samples, "replicates": replicates, "seed": seed}
     return render(scene.changed({f"transport.{name}": value for name, value in changes.items()}))
 

@@ -74,7 +74,14 @@ def point_through(through: NDArray[np.float64], x: float, y: float, z: float) ->
 
 @inlined
 def direction_through(through: NDArray[np.float64], x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Transform a direction by a frame (3, 4)."""
+    """Return a direction seen through a frame, (3, 4).
+
+    Parameters
+    ----------
+    through : (3, 4) float64
+        Axes of the frame and its origin, mm.
+    x, y, z : float
+    """
     return (
         through[0, 0] * x + through[0, 1] * y + through[0, 2] * z,
         through[1, 0] * x + through[1, 1] * y + through[1, 2] * z,
@@ -115,7 +122,16 @@ def move_point(
 def move_direction(
     table: NDArray[np.float64], here: int, there: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Transform a direction from frame `here` to frame `there`; see `move_point`."""
+    """Return a direction moved from frame `here` into frame `there` of a (n, n, 3, 4) table of frames.
+
+    Parameters
+    ----------
+    table : (n, n, 3, 4) float64
+        Frame by which each of n frames is seen from each other one.
+    here, there : int
+        Numbers of the two frames.
+    x, y, z : float
+    """
     return (
         table[here, there, 0, 0] * x + table[here, there, 0, 1] * y + table[here, there, 0, 2] * z,
         table[here, there, 1, 0] * x + table[here, there, 1, 1] * y + table[here, there, 1, 2] * z,

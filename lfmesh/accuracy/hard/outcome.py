@@ -138,14 +138,29 @@ def _across(surface: Surface) -> tuple[str, float, float] | None:
 
 
 def disk(radius: float, count: int, seed: int = 0) -> Array:
-    """Return random points (count, 2), uniformly distributed on a disk."""
+    """Return (count, 2) random points of uniform density on a disk.
+
+    Parameters
+    ----------
+    radius : float
+    count : int
+    seed : int
+    """
     draw = np.random.default_rng(seed)
     r, phi = radius * np.sqrt(draw.uniform(size=count)), draw.uniform(0.0, 2.0 * np.pi, count)
     return np.column_stack([r * np.cos(phi), r * np.sin(phi)])
 
 
 def tilted(count: int, spread: float, seed: int = 1) -> Array:
-    """Return unit directions (count, 3) about +z with slopes up to `spread`."""
+    """Return (count, 3) unit directions round +z with slopes up to `spread`.
+
+    Parameters
+    ----------
+    count : int
+    spread : float
+        Largest slope.
+    seed : int
+    """
     d = np.column_stack([disk(spread, count, seed), np.ones(count)])
     return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
@@ -182,7 +197,16 @@ def images_of(scene: Scene, seeds: Iterable[int], **transport: Any) -> list[Imag
 
 
 def of_images(images: Sequence[Image], expected: str, got: str, passed: bool) -> Outcome:
-    """Return an outcome with the ledgers of images, counting each packet's power as 1; see `outcome`."""
+    """Return an outcome with the ledgers of images, each packet's power counted as 1.
+
+    Parameters
+    ----------
+    images : sequence of Image
+    expected, got : str
+        In words.
+    passed : bool
+        Apart from the ledgers, which have to close as well.
+    """
     ledgers = [image.ledger for image in images]
     closes = max(abs(ledger.imbalance) for ledger in ledgers)
     if not closes < 1e-9:

@@ -254,7 +254,14 @@ def _past_thin_lens(at: Array, d: Array, focal_length: float) -> Array:
 
 
 def at_plane(p: Array, d: Array, z: float) -> Array:
-    """Return the intersections (n, 3) of rays with a plane z, mm; NaN if they travel away from it."""
+    """Return (n, 3) where rays meet a plane z; NaN where they run away from it.
+
+    Parameters
+    ----------
+    p : (n, 3) float64, mm
+    d : (n, 3) float64
+    z : float, mm
+    """
     with np.errstate(divide="ignore"):
         t = (z - p[:, 2]) / d[:, 2]
     return np.asarray(p + np.where(t >= 0.0, t, np.nan)[:, None] * d)

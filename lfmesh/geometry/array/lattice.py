@@ -61,7 +61,13 @@ class Lattice(NamedTuple):
 
 @kernel
 def centre(lattice: Lattice, column: int, row: int) -> tuple[float, float]:
-    """Return the centre of a cell, mm; the cell may lie outside the array."""
+    """Return the centre of a cell, which may lie outside the array.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    column, row : int
+    """
     p = lattice.pitch
     if not lattice.hexagonal:
         return (column - 0.5 * (lattice.columns - 1)) * p, (row - 0.5 * (lattice.rows - 1)) * p
@@ -71,7 +77,13 @@ def centre(lattice: Lattice, column: int, row: int) -> tuple[float, float]:
 
 @kernel
 def cell_of(lattice: Lattice, x: float, y: float) -> tuple[int, int]:
-    """Return (column, row) of the cell that contains a point, mm; the cell may lie outside the array."""
+    """Return (column, row) of the cell a point lies in; it may lie outside the array.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    x, y : float, mm
+    """
     u, v = x / lattice.pitch, y / lattice.pitch
     if not lattice.hexagonal:
         column = int(np.floor(u + 0.5 * lattice.columns))
@@ -133,7 +145,13 @@ def _numbers_within(middle: float, distance: float, count: int) -> tuple[int, in
 
 @kernel
 def is_inside(lattice: Lattice, column: int, row: int) -> bool:
-    """Tell whether a cell belongs to the array."""
+    """Tell whether the array has this cell.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    column, row : int
+    """
     return 0 <= column < lattice.columns and 0 <= row < lattice.rows
 
 
@@ -178,7 +196,15 @@ def leaves_at(lattice: Lattice, x: float, y: float, dx: float, dy: float) -> tup
 
 @kernel
 def neighbour(lattice: Lattice, column: int, row: int, side: int) -> tuple[int, int]:
-    """Return the cell beyond a side, numbered as in `leaves_at`."""
+    """Return the cell behind a side.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    column, row : int
+    side : int
+        As `leaves_at` numbers it.
+    """
     if not lattice.hexagonal:
         if side == 0:
             return column + 1, row

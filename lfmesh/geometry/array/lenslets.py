@@ -206,9 +206,12 @@ def are_alike(mla: Lenslets) -> bool:
 
 @kernel
 def type_of(mla: Lenslets, column: int, row: int) -> int:
-    """Return the type of a cell.
+    """Return a cell's type: neighbours differ in an array of three types (hexagonal) or of two (square).
 
-    Neighbours differ in a hexagonal array of three types and in a square array of two.
+    Parameters
+    ----------
+    mla : Lenslets
+    column, row : int
     """
     types = len(mla.curvature)
     if types == 1:
@@ -229,7 +232,12 @@ def _across_cylinders(profile: Any, column: int, row: int) -> int:
 
 @kernel
 def shape_of(mla: Lenslets, column: int, row: int) -> tuple[float, float, float]:
-    """Return a lenslet's curvature, and its apex relative to the cell's centre.
+    """Return a lenslet's curvature and its apex relative to the cell's centre.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    column, row : int
 
     Returns
     -------
@@ -341,9 +349,18 @@ def meets_profile(
 
 @inlined
 def leaves_face(profile: Any, mla: Lenslets, column: int, row: int, dx: float, dy: float, dz: float) -> bool:
-    """Tell whether a ray that leaves a lenslet's face, out of the layer of faces, is sure not to meet that face again.
+    """Tell whether a ray that starts on a lenslet's face, out of the layer of faces, cannot meet that lenslet again.
 
-    Spheres are never met again, nor are other faces if the direction is steeper than the whole face.
+    A sphere it cannot; of other faces that is known of directions steeper than they are anywhere.
+
+    Parameters
+    ----------
+    profile : Profile, or None
+        That of `mla`.
+    mla : Lenslets
+    column, row : int
+        Of the lenslet.
+    dx, dy, dz : float
     """
     if profile is None:
         return True

@@ -184,12 +184,20 @@ def only_specular(material: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def check_material(path: Any, where: str, material: dict[str, Any]) -> None:
-    """Raise on an invalid value in a material at the place `where` of a file.
+    """Raise on a value of a material that glTF does not allow.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    where : str
+        The material's place in it.
+    material : dict
 
     Raises
     ------
     MeshError
-        The message contains the value.
+        Naming the value.
     """
     pbr = material.get("pbrMetallicRoughness", {})
     shares = {f"{key}": pbr.get(key, 1.0) for key in ("metallicFactor", "roughnessFactor")}

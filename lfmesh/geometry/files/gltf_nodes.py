@@ -112,10 +112,17 @@ def _own_name(entry: dict[str, Any]) -> str | None:
 def node_called(path: Path, nodes: Iterable[Node], key: str | int) -> Node:
     """Return the node with a name or number.
 
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    nodes : iterable of Node
+    key : str or int
+
     Raises
     ------
     MeshError
-        The file's scene has no such node.
+        There is none in the file's scene.
     """
     nodes = list(nodes)
     for node in nodes:
@@ -128,10 +135,18 @@ def node_called(path: Path, nodes: Iterable[Node], key: str | int) -> Node:
 def primitives_of(path: Path, document: dict[str, Any], node: Node) -> list[tuple[int, int]]:
     """Return mesh and number of the primitives of a node that have facets.
 
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    document : dict
+        Its JSON.
+    node : Node
+
     Raises
     ------
     MeshError
-        The node's mesh does not exist.
+        The node names a mesh that is not there.
     """
     if "mesh" not in node.entry:
         return []
@@ -145,7 +160,16 @@ def primitives_of(path: Path, document: dict[str, Any], node: Node) -> list[tupl
 
 
 def not_read(path: Path, document: dict[str, Any], node: Node) -> Iterator[str]:
-    """Yield a message for each primitive of a node's mesh without readable facets."""
+    """Yield what of a node's mesh has no facets, or facets that cannot be read.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    document : dict
+        Its JSON.
+    node : Node
+    """
     if "mesh" in node.entry:
         mesh = document["meshes"][node.entry["mesh"]]
         for number, primitive in enumerate(entries_of(path, mesh, "primitives")):
@@ -245,12 +269,22 @@ def _own_matrix(path: Path, number: int, entry: dict[str, Any]) -> Array:
 
 
 def finite_numbers(path: Path, where: str, values: Any, count: int) -> Array:
-    """Return a list of `count` numbers, at the place `where` of a file, as an array.
+    """Return numbers of the document.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    where : str
+        Their place in it.
+    values : list
+    count : int
+        How many there must be.
 
     Raises
     ------
     MeshError
-        They are not that many finite numbers.
+        They are none.
     """
     fine = isinstance(values, list | tuple) and len(values) == count
     if fine and all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= 1e15 for v in values):
@@ -259,7 +293,17 @@ def finite_numbers(path: Path, where: str, values: Any, count: int) -> Array:
 
 
 def number_below(path: Path, where: str, value: Any, count: int) -> int:
-    """Return the checked index, at the place `where` of a file, into a list of `count` entries.
+    """Return the number of an entry of a list.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    where : str
+        The number's place in it.
+    value : int
+    count : int
+        Entries of the list.
 
     Raises
     ------
@@ -272,12 +316,20 @@ def number_below(path: Path, where: str, value: Any, count: int) -> int:
 
 
 def entries_of(path: Path, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
-    """Return the list of objects under a key in part of the document; empty if there is none.
+    """Return a list of objects of the document; empty where it has none.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    holder : dict
+        A part of its JSON.
+    key : str
 
     Raises
     ------
     MeshError
-        It is not a list of objects.
+        It is no list of objects.
     """
     entries = holder.get(key, [])
     if isinstance(entries, list) and set(map(type, entries)) <= {dict}:

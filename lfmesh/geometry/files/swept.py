@@ -61,7 +61,17 @@ def curve_in_box(curve: dict[str, Any], place: frame.Frame, outside: Outside) ->
 
 
 def net_in_box(net: dict[str, Any], place: frame.Frame, outside: Outside) -> Array:
-    """Return points (n, 3) of a B-spline surface inside a box; for the parameters, see `curve_in_box`."""
+    """Return points (n, 3) of a B-spline surface that lie in a box, as `curve_in_box` does.
+
+    Parameters
+    ----------
+    net : dict
+        As `step_surfaces` writes it.
+    place : (3, 4) float64
+        Frame of its body.
+    outside : function
+        Of the box.
+    """
     from scipy.interpolate import BSpline
 
     weights = np.asarray(net["weights"], dtype=np.float64)[..., None]

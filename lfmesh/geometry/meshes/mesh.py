@@ -98,7 +98,13 @@ def joined(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def boxes_meet(one: Mesh, other: Mesh, within: float) -> bool:
-    """Tell whether the boxes of two meshes come within a distance, mm, of each other."""
+    """Tell whether the boxes round two meshes come within a distance of each other, mm.
+
+    Parameters
+    ----------
+    one, other : Mesh
+    within : float, mm
+    """
     low = np.maximum(one.vertices.min(axis=0), other.vertices.min(axis=0))
     high = np.minimum(one.vertices.max(axis=0), other.vertices.max(axis=0))
     return bool((low <= high + within).all())

@@ -47,12 +47,24 @@ def _curve(surface: Any, r: Array) -> tuple[Array, Array]:
 
 
 def heights(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
-    """Return z of any SURFACE record above its vertex at points x, y (any shape), mm; NaN where it does not reach."""
+    """Return z of any surface above its vertex, mm; NaN where it does not reach.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    x, y : float64 of one shape, mm
+    """
     return _form(surface, np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))[0]
 
 
 def gradients(surface: Any, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-    """Return dz/dx and dz/dy of any SURFACE record at points x, y (any shape), mm."""
+    """Return dz/dx and dz/dy of any surface.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    x, y : float64 of one shape, mm
+    """
     return _form(surface, np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))[1:]
 
 
@@ -89,7 +101,13 @@ def _form_of_each(s: Any, x: Array, y: Array, z: Array, by_x: Array, by_y: Array
 
 
 def normals(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
-    """Return the unit normals (n, 3), towards +z, of a SURFACE record at points x, y (n,), mm."""
+    """Return (n, 3) unit normals, towards +z, at the points (x, y) of the surface.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    x, y : (n,) float64, mm
+    """
     by_x, by_y = gradients(surface, x, y)
     n = np.stack([-by_x, -by_y, np.ones_like(by_x)], axis=-1)
     return np.asarray(n / np.linalg.norm(n, axis=-1, keepdims=True))

@@ -187,7 +187,13 @@ def half_slope_at(s: Any, r2: float) -> float:
 
 @kernel
 def form_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
-    """Return z, dz/dx and dz/dy of a surface of any kind at x, y, mm; beyond its end, of its continuation."""
+    """Return z, dz/dx and dz/dy of a surface of any kind; beyond its end, of how it goes on.
+
+    Parameters
+    ----------
+    s : SURFACE record
+    x, y : float, mm
+    """
     if s.kind == BICONIC:
         return _biconic_at(s.curvature_x, s.conic_x, s.curvature, s.conic, x, y)
     if s.kind == TOROID:

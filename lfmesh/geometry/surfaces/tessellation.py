@@ -117,7 +117,14 @@ def steepness(surface: Any, r: ArrayLike) -> Array:
 
 
 def ring_radii(surface: Any, rings: int, rim: float) -> Array:
-    """Return radii (rings + 1,) spaced equally along the meridian's arc, to resolve steep rims."""
+    """Return (rings + 1,) radii equally spaced along the meridian's arc, so that steep rims get their share.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rings : int
+    rim : float, mm
+    """
     # Sampled equally in angle over a quarter turn: points crowd at the rim, where a hemisphere's slope diverges.
     fine = min(rim, last_radius(surface)) * np.sin(np.linspace(0.0, 0.5 * np.pi, 2049))
     if is_revolved(surface):
@@ -132,7 +139,14 @@ def ring_radii(surface: Any, rings: int, rim: float) -> Array:
 
 
 def cap(surface: Any, rings: int, rim: float) -> Mesh:
-    """Return the mesh of a surface out to `rim`, facing +z, in the frame of the lens, with exact corner normals."""
+    """Return the mesh of a surface out to `rim`, facing +z, in the frame of the lens, with exact corner normals.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rings : int
+    rim : float, mm
+    """
     ring, azimuth, faces = disk_pattern(rings)
     return disk_mesh(surface, ring_radii(surface, rings, rim)[ring], azimuth, faces)
 
@@ -185,7 +199,14 @@ def strip(circles: Array) -> Mesh:
 
 
 def chord_error(surface: Any, rings: int, rim: float) -> float:
-    """Return a bound of the distance along z between a surface and its mesh, mm, along meridian and parallel."""
+    """Return a bound of the distance along z between the surface and its mesh, mm: along meridian and parallel.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rings : int
+    rim : float, mm
+    """
     if not is_revolved(surface):
         return _facet_error(surface, cap(surface, rings, rim))
     r = ring_radii(surface, rings, rim)
@@ -238,7 +259,14 @@ def stand_together(front: Any, back: Any) -> bool:
 
 
 def on_circles(record: Any, r: Array, azimuths: int = AZIMUTHS) -> Array:
-    """Return points (len(r), azimuths, 3) of a posed surface on circles of radii r about its axis, mm."""
+    """Return points (len(r), azimuths, 3) of a surface on circles about its axis, where it stands, mm.
+
+    Parameters
+    ----------
+    record : SURFACE record
+    r : (n,) float64, mm
+    azimuths : int
+    """
     x, y = _circles(r, azimuths)
     z = np.broadcast_to(record["vertex_z"] + heights_on_circles(record, r, azimuths), x.shape)
     points = np.stack([x, y, z], axis=-1)
@@ -274,5 +302,12 @@ def height_above(record: Any, points: Array) -> tuple[Array, Array]:
 
 
 def element(front: Mesh, ring: Mesh, back: Mesh) -> Mesh:
-    """Return the closed, outward-facing solid between two caps (facing +z) and the ring (facing the axis)."""
+    """Return the closed solid between two caps (facing +z) and the ring (facing the axis), outward-oriented.
+
+    Parameters
+    ----------
+    front, back : Mesh
+        The caps.
+    ring : Mesh
+    """
     return joined([front.flipped(), ring.flipped(), back])

@@ -59,8 +59,8 @@ class Photograph(Pictured):
     @property
     def covered(self) -> Array:
         """(t, s): `coverage`, or 1 at known samples and 0 at others."""
-        known = np.isfinite(self.mean).all(axis=2)
-        return known.astype(np.float64) if self.coverage is None else np.where(known, self.coverage, 0.0)
+        known = np.isfinite(self.mean).all(axis=2).astype(np.float64)
+        return known if self.coverage is None else np.asarray(known * self.coverage)
 
     def __repr__(self) -> str:
         return (

@@ -8,6 +8,7 @@ from lfmesh.geometry.objects.primitives import RINGS
 from lfmesh.geometry.objects.targets import TargetMesh, named_target
 from lfmesh.scene import Light, Scene
 from lfmesh.scene.light.region import Region
+from lfmesh.transport.events.facets import FLOAT32_GRAIN
 from lfmesh.transport.tables.contacts import CUT
 
 Bodies = dict[int, TargetMesh]
@@ -55,7 +56,7 @@ def _refuse_lamp_inside(scene: Scene, bodies: Bodies, number: int, light: Light)
     region = light.region
     if region is None:
         return
-    body = _holding(bodies, region.centre_mm[None])
+    body = next((i for i, each in bodies.items() if _encloses(each, region.centre_mm)), None)
     if body is None and region.size_mm > 0.0:
         body = next((i for i, each in bodies.items() if _meets(each, region)), None)
     if body is not None:
@@ -63,6 +64,12 @@ def _refuse_lamp_inside(scene: Scene, bodies: Bodies, number: int, light: Light)
             f"lights[{number}].{light.place_in_words} lies inside {named_target(scene, body)}; a lamp must stand in "
             "air: move it, or give the body a hollow round it, a surface that faces inwards"
         )
+
+
+def _encloses(body: TargetMesh, place: Array) -> bool:
+    """Tell whether a body holds a lamp's middle (3,), mm. One on its surface, to rounding, is moved off it later."""
+    grain = FLOAT32_GRAIN * float(np.abs(place).sum())
+    return bool(body.holds(place[None]).any()) and body.distance_mm(place) > grain
 
 
 def _meets(body: TargetMesh, region: Region) -> bool:

@@ -34,7 +34,7 @@ def refused(*targets: dict[str, Any], lamp: dict[str, Any] = LAMP) -> str:
 
 def test_a_lamp_between_the_facets_of_a_balls_mesh_and_the_ball_is_in_the_glass() -> None:
     """Facets of 3 degrees lie 7e-4 of the radius within it."""
-    for depth, inside in ((1e-6, True), (-1e-6, False)):
+    for depth, inside in ((1e-5, True), (-1e-5, False)):
         for x, y in ((0.6, 0.8), (0.28, 0.96)):
             away = 8.0 * (1.0 - depth)
             at = (40.0 - away * x, 40.0 - away * y, -40.0)

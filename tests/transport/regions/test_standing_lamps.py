@@ -8,7 +8,7 @@ import pytest
 import lfmesh as lf
 from lfmesh.geometry import frame
 from lfmesh.transport.packets.packet import OBJECT_FRAME, WORLD_FRAME
-from tests.validation.test_sized_lamps import CAMERA, PLATE, WALL
+from tests.validation.test_sized_lamps import CAMERA, WALL
 
 BLACK = {"material": {"reflectance": 0.0}}
 SHEET: dict[str, Any] = BLACK | {"shape": {"kind": "plane", "width_mm": 30.0, "height_mm": 30.0},
@@ -106,12 +106,24 @@ def test_a_lamp_in_a_corner_moves_off_both_surfaces() -> None:
     assert shift[0] < 0.0 < shift[2]
 
 
-def test_a_lamp_on_glass_stays_in_air() -> None:
-    """On either face of a plate, whichever way it shines: exactly on it, a lamp may be refused as one in the glass."""
-    lamps = [spot([3.0, 2.0, z], [0.0, 0.0, way], 0.0) for z in (-52.5 + 1e-7, -55.5 - 1e-7) for way in (1.0, -1.0)]
-    shift, said = built(*lamps, targets=[WALL, PLATE])
-    assert (shift[:2, 2] > 0.0).all()
-    assert (shift[2:, 2] < 0.0).all()
+@pytest.mark.parametrize("height", [0.0, 1e-6, -1e-6])
+def test_a_lamp_on_glass_stays_in_air(height: float) -> None:
+    """On any face of a box or a ball, to rounding, whichever way it shines."""
+    box = {"refractor": {"box_mm": [8.0, 6.0, 4.0], "index": 1.5}, "position_mm": [10.0, 3.0, -46.0]}
+    ball = {
+        "refractor": {"shape": {"kind": "sphere", "radius_mm": 4.0}, "index": 1.5},
+        "position_mm": [-9.0, 3.0, -46.0],
+    }
+    middle, half = np.array(box["position_mm"]), np.array([4.0, 3.0, 2.0])
+    ways = np.concatenate([np.eye(3), -np.eye(3)])
+    places = [middle + 0.2 * np.roll(half, 1) * (way == 0.0) + (half + height) * way for way in ways]
+    places += [np.array(ball["position_mm"]) + (4.0 + height) * way for way in ways]
+    looks = np.repeat([*ways, *ways], 2, axis=0) * np.tile([1.0, -1.0], 12)[:, None]
+    stands = np.repeat(places, 2, axis=0)
+    lamps = [(spot, disk)[i % 2](stands[i].tolist(), looks[i].tolist(), 0.0) for i in range(len(stands))]
+    shift, said = built(*lamps, targets=[WALL, box, ball])
+    outwards = np.einsum("ij,ij->i", shift, np.repeat([*ways, *ways], 2, axis=0))
+    assert (height + outwards > 1e-6).all()
     assert said == []
 
 

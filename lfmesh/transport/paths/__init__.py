@@ -1,1 +1,1 @@
-"""Paths: their states and classes."""
+"""Path states and path classes."""

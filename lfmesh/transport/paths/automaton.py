@@ -1,33 +1,32 @@
-"""Classes of paths that are estimated independently: every path from the sensor to a light is in exactly one of them.
+"""Classes of paths that are estimated independently. Every path from the sensor to a light is in exactly one.
 
-A path is the sequence of what it meets between sensor and light, in whichever direction it is traced. An automaton
-reads it as a packet follows it: the packet has a `State`, each thing that it meets is a step that leads from state to
-state, and `STANDING` tells which states belong to which class. Three questions, in this order, give a path's class:
+A path is the sequence of its events between sensor and light, in either tracing direction. An automaton reads it: a
+packet carries a `State`, each event leads to the next state, and `STANDING` maps states to classes. Three questions
+decide the class, in this order:
 
-1. Is light of a lamp (`[[lights]]`) scattered by a rough surface of lens or array before any target or rough glass in
-   object space, or a medium, has scattered it? The class is `LAMP_ON_CAMERA`, traced forward from the lamp in both
-   methods.
-2. Does light of a lamp meet smooth glass in object space before the first target, or rough glass, that scatters it? A
-   lamp is a point, a direction, or a disk that rays cannot hit, and a straight line to it (next-event estimation) is
-   blocked by glass, so a path from the sensor never finds it. The class is `LAMP_THROUGH_GLASS`, traced forward from
-   the lamp. Every other path ends, seen from the sensor, on a target that emits, or on a target or rough glass that a
-   straight line in air joins to a lamp.
-3. Does the path leave the image path anywhere between the sensor and that end? Then its class is `OFF_IMAGE_PATH`;
-   else it is on the image path, as the sequential engine follows it. A path leaves the image path by a reflection in
-   lens or array, by a reflection at glass in object space where it could have been refracted (total reflection there
-   continues the image path), and where it meets the same curved side of the array twice running. Where on the path
-   that happens does not matter: targets and rough glass may scatter it before and after, which by itself changes
-   nothing. Rough surfaces of lens and array are traced by the mesh engine, which estimates `EVERY` path at once.
+1. Does a rough surface of the lens or array scatter light of a lamp (`[[lights]]`) before any target, medium or rough
+   glass in object space does? The class is `LAMP_ON_CAMERA`, traced forward from the lamp in both methods.
+2. Does light of a lamp meet smooth glass in object space before the first target or rough glass that scatters it? A
+   lamp is a point, a direction, or a disk that rays cannot hit, and glass blocks the straight line to it (next-event
+   estimation), so a path from the sensor never finds it. The class is `LAMP_THROUGH_GLASS`, traced forward from the
+   lamp. Seen from the sensor, every other path ends on a target that emits, or on a target or rough glass joined to a
+   lamp by a straight line in air.
+3. Does the path leave the image path, as the sequential engine follows it, between the sensor and that end? The class
+   is then `OFF_IMAGE_PATH`; otherwise the path is on the image path. Three events leave the image path: a reflection in
+   the lens or array; a reflection at glass in object space that could have refracted (total reflection there continues
+   the image path); and a second hit in succession on the same curved side of the array. Their place on the path does
+   not matter. Scattering at targets and rough glass before or after changes nothing. The mesh engine, which estimates
+   `EVERY` path at once, traces rough surfaces of the lens and array.
 
-Where ghosts are estimated by themselves, `OFF_IMAGE_PATH` is divided into `GHOSTS` and `OTHER_STRAYS`. A path is one of
-the ghosts if, seen from the sensor, it leaves the camera first after exactly two reflections, each at a refracting
-surface of the lens, at a face of the array or of the sensor's cover, or at the sensor; if from each of these faces it
-leads to the next one on either side; and if it leaves the image path nowhere else. (Straight after a surface a path may
-meet it again on its hollow side, and straight after a lenslet the one beside it: those are other strays.)
+If ghosts have their own estimator, `OFF_IMAGE_PATH` is divided into `GHOSTS` and `OTHER_STRAYS`. Seen from the sensor,
+a ghost path first leaves the camera after exactly two reflections, each at a refracting surface of the lens, a face of
+the array or sensor cover, or the sensor. From each of these faces it leads to an adjacent one, and it leaves the image
+path nowhere else. (A path that meets the concave side of a surface just left, or goes from one lenslet straight to its
+neighbour, is another stray.)
 
 `EVERY` stands for all paths that a method can find: all but `LAMP_ON_CAMERA`, and in the adjoint method all but
-`LAMP_THROUGH_GLASS` too. Light that is in no class is named in transport/README.md, "Limits": light of a lamp that
-reaches the sensor, or through the lens a target, before anything has scattered it.
+`LAMP_THROUGH_GLASS` too. Light in no class is named in transport/README.md, "Limits": lamp light that reaches the
+sensor, or a target through the lens, before anything has scattered it.
 """
 
 from enum import IntEnum
@@ -43,17 +42,17 @@ from lfmesh.transport.packets.packet import OBJECT_FRAME, Options
 class State(IntEnum):
     """State of a packet's path so far: `PACKET.path`.
 
-    The last three are those of packets that start at a lamp, up to what scatters them first: that decides their class.
+    The last three states apply to packets from a lamp until the first scattering, which decides their class.
     """
 
     ON_IMAGE_PATH = 0
-    IN_NO_GHOST = 1  # on the image path, but past where a ghost begins
-    REFLECTED_ONCE = 2  # off the image path as ghosts are, by one reflection
+    IN_NO_GHOST = 1  # on the image path, but can no longer become a ghost
+    REFLECTED_ONCE = 2  # possible ghost after one reflection
     REFLECTED_TWICE = 3
     STRAY = 4  # off the image path otherwise
-    FROM_LAMP = 5  # and has met no glass in object space
-    LAMP_AT_GLASS = 6  # smooth glass in object space was the first that it met
-    LAMP_IN_CAMERA = 7  # a rough surface of the camera has scattered it
+    FROM_LAMP = 5  # has met no glass in object space
+    LAMP_AT_GLASS = 6  # met smooth glass in object space first
+    LAMP_IN_CAMERA = 7  # scattered by a rough surface of the camera
 
 
 ON_IMAGE_PATH, IN_NO_GHOST, REFLECTED_ONCE, REFLECTED_TWICE, STRAY, FROM_LAMP, LAMP_AT_GLASS, LAMP_IN_CAMERA = (
@@ -62,7 +61,7 @@ ON_IMAGE_PATH, IN_NO_GHOST, REFLECTED_ONCE, REFLECTED_TWICE, STRAY, FROM_LAMP, L
 
 
 class PathClass(IntEnum):
-    """Paths that an estimator counts: `Options.paths`."""
+    """Class of paths that an estimator counts: `Options.paths`."""
 
     EVERY = 0
     OFF_IMAGE_PATH = 1
@@ -76,7 +75,7 @@ EVERY, OFF_IMAGE_PATH, LAMP_THROUGH_GLASS, LAMP_ON_CAMERA, GHOSTS, OTHER_STRAYS 
 
 
 def _step(leads: dict[int, int]) -> NDArray[np.int8]:
-    """Return the state after a step, (states,), where it leads from one state to another; other states stay."""
+    """Return the state after a step for each state before it, (states,); states not in `leads` stay."""
     after = np.arange(len(State), dtype=np.int8)
     for before, state in leads.items():
         after[before] = state
@@ -86,30 +85,30 @@ def _step(leads: dict[int, int]) -> NDArray[np.int8]:
 OFF_FACE = _step({
     ON_IMAGE_PATH: REFLECTED_ONCE, REFLECTED_ONCE: REFLECTED_TWICE, REFLECTED_TWICE: STRAY, IN_NO_GHOST: STRAY,
 })  # fmt: skip
-"""A face of lens, array or cover reflects it, totally or not, or the sensor does."""
+"""Reflection, total or not, at a face of the lens, array or cover, or at the sensor."""
 
 FACE_AGAIN = _step({ON_IMAGE_PATH: IN_NO_GHOST, REFLECTED_ONCE: STRAY, REFLECTED_TWICE: STRAY})
-"""It meets the surface of the lens again that it comes from."""
+"""Second hit in succession on the same lens surface."""
 
 NEXT_LENSLET = _step(dict.fromkeys((ON_IMAGE_PATH, IN_NO_GHOST, REFLECTED_ONCE, REFLECTED_TWICE), STRAY))
-"""It meets the same curved side of the array twice running."""
+"""Second hit in succession on the same curved side of the array."""
 
 OUT_OF_LENS = _step({ON_IMAGE_PATH: IN_NO_GHOST, REFLECTED_ONCE: STRAY})
-"""It leaves the lens to object space."""
+"""Exit from the lens to object space."""
 
 AT_GLASS = _step({FROM_LAMP: LAMP_AT_GLASS})
-"""Smooth glass in object space refracts it, or reflects it totally."""
+"""Refraction or total reflection at smooth glass in object space."""
 
 OFF_GLASS = _step(
     {FROM_LAMP: LAMP_AT_GLASS} | dict.fromkeys((ON_IMAGE_PATH, IN_NO_GHOST, REFLECTED_ONCE, REFLECTED_TWICE), STRAY)
 )
-"""Smooth glass in object space reflects it where it could have been refracted."""
+"""Reflection at smooth glass in object space where refraction was possible."""
 
 ON_ROUGH_FACE = _step({FROM_LAMP: LAMP_IN_CAMERA, LAMP_AT_GLASS: LAMP_IN_CAMERA})
-"""A rough surface of lens or array scatters it."""
+"""Scattering by a rough surface of the lens or array."""
 
 NEVER, NOT_YET, COUNTS = 0, 1, 2
-"""Standing of a state in a class: its light is another class's; as it is, but it may still come to count; it counts."""
+"""Standing of a state in a class: the light belongs to another class; it does not count yet but may; it counts."""
 
 
 def _standing(counts: tuple[int, ...], not_yet: tuple[int, ...] = ()) -> NDArray[np.int8]:
@@ -130,27 +129,27 @@ STANDING = np.array([
 """Standing of each state in each class, (classes, states)."""
 
 THROWN_BACK_PER_FOLLOWED = 25.0
-"""Number of paths of ghosts, among other strays, for each that is followed from its second reflection on:
-the inverse of a polished surface's reflectance, some 4 %."""
+"""Ghost paths per ghost path that the estimator of other strays follows past its second reflection:
+the inverse of a polished surface's reflectance of about 4 %."""
 
 
 @inlined
 def after_interface(frame: int, refracts: bool, transmittance: float, path: int) -> int:
-    """Return the state of a child at a smooth interface, from its parent's.
+    """Return the state of a child at a smooth interface.
 
-    In lens and array, where the image path meets the surfaces in their order, every reflection leaves it, total
-    reflection included. In object space total reflection continues the image path.
+    In the lens and array, every reflection leaves the image path, total reflection included. In object space total
+    reflection continues the image path.
 
     Parameters
     ----------
     frame : int
-        Frame of the interface: of the lens, the array, or object space.
+        Frame of the interface: lens, array or object space.
     refracts : bool
-        The child is the refracted one.
+        True for the refracted child.
     transmittance : float
-        Of the interface; 0 under total reflection.
+        Transmittance of the interface; 0 for total reflection.
     path : int
-        The parent's state.
+        State of the parent.
     """
     if frame != OBJECT_FRAME:
         return path if refracts else OFF_FACE[path]
@@ -159,24 +158,24 @@ def after_interface(frame: int, refracts: bool, transmittance: float, path: int)
 
 @inlined
 def counts(options: Options, packet: Any) -> bool:
-    """Tell whether a packet's path so far belongs to the class that is being estimated.
+    """Tell whether a packet's path so far belongs to the estimated class.
 
-    Called where the class is decided: on every target (adjoint), and on the first target after the light (forward).
+    Called where the class is decided: at every target (adjoint), and at the first target after the light (forward).
     """
     return STANDING[options.paths, packet.path] == COUNTS
 
 
 @inlined
 def counts_not_yet(options: Options, packet: Any) -> bool:
-    """Tell whether a packet brings nothing to the class that is being estimated as it is, but may come to."""
+    """Tell whether a packet does not count yet in the estimated class but may later."""
     return STANDING[options.paths, packet.path] == NOT_YET
 
 
 @inlined
 def cutoff_at_child(options: Options, leaves: bool, refracts: bool, packet: Any) -> float:
-    """Return the weight, over a packet's starting weight, below which its child at a face plays another roulette.
+    """Return the weight, relative to the packet's start, below which a child at a face plays extra Russian roulette.
 
-    The child brings nothing as it is, and only few such packets continue. 0 if it plays none.
+    Such a child does not count yet, and only a few of its kind continue. 0 means no extra roulette.
 
     Parameters
     ----------
@@ -184,9 +183,9 @@ def cutoff_at_child(options: Options, leaves: bool, refracts: bool, packet: Any)
     leaves : bool
         The child leaves the lens to object space for good.
     refracts : bool
-        The child is the refracted one.
+        True for the refracted child.
     packet : PACKET
-        The parent, with the child's state.
+        Parent, with the state of the child.
     """
     if not counts_not_yet(options, packet):
         return 0.0

@@ -1,1 +1,1 @@
-"""Sources of packets: pixels, lights and emitting targets, and given rays."""
+"""Packet sources: pixels, lights and emitting targets, particles, and given rays."""

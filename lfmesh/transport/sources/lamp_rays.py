@@ -1,4 +1,4 @@
-"""Rays that lamps emit: where packets of the forward method start."""
+"""Random rays of lamps, the starts of packets in the forward method."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from lfmesh.transport.lights.places import point_of_light
 from lfmesh.transport.packets.random import start
 from lfmesh.transport.tables.tables import ObjectTables
 
-# Dimensions of the numbers that a light's packet starts from; dimension 0 chooses the light.
+# Dimensions of a light packet's starting numbers; dimension 0 selects the light.
 PLACE_U, PLACE_V, WAY_U, WAY_V = 1, 2, 3, 4
 
 
@@ -19,25 +19,23 @@ PLACE_U, PLACE_V, WAY_U, WAY_V = 1, 2, 3, 4
 def emitted(
     objects: ObjectTables, light: Any, key: np.uint64
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return a random ray of a light towards the sphere that is aimed at, around the targets or around glass only.
+    """Return a random ray of a light, aimed at the sphere around targets or around glass only.
 
-    A light that sends most of its light into less than the sphere covers is not aimed: its rays follow its intensity,
-    wherever that sends them.
+    The rays of a light that sends most of its light into a smaller solid angle than the sphere's follow its intensity.
 
     Parameters
     ----------
     objects : ObjectTables
     light : LIGHT
     key : uint64
-        Of the packet.
+        Packet key.
 
     Returns
     -------
     x, y, z, dx, dy, dz : float
         Start, mm, object frame, and unit direction.
     share : float
-        Share of the packet's power that goes this way: the density of the light's rays over that with which the ray
-        was drawn.
+        Fraction of the packet's power on the ray: the light's ray density over the sampling density.
     """
     radius = objects.lit_radius
     mx, my, mz = objects.lit_middle[0], objects.lit_middle[1], objects.lit_middle[2]
@@ -55,19 +53,19 @@ def emitted(
         dx, dy, dz = drawn_by_intensity(objects.lamps.profiles, light, start(key, WAY_U), start(key, WAY_V))
         return x, y, z, dx, dy, dz, 1.0
     dx, dy, dz, share = _into_cone(x - mx, y - my, z - mz, radius, key)
-    # The density of the light over that of uniform directions.
+    # Ray density of the light over the uniform density.
     share *= light.gain * (intensity(objects.lamps.profiles, light, dx, dy, dz) / light.peak)
     return x, y, z, dx, dy, dz, share
 
 
 @kernel
 def _cone_share(x: float, y: float, z: float, radius: float) -> float:
-    """Return the share of all directions from a point that lie in the cone around a sphere.
+    """Return the fraction of directions from a point in the cone around a sphere.
 
     Parameters
     ----------
     x, y, z : float, mm
-        The point, relative to the sphere's centre.
+        Point, relative to the sphere's centre.
     radius : float, mm
     """
     distance2 = x * x + y * y + z * z
@@ -79,15 +77,15 @@ def _cone_share(x: float, y: float, z: float, radius: float) -> float:
 
 @kernel
 def _into_cone(x: float, y: float, z: float, radius: float, key: np.uint64) -> tuple[float, float, float, float]:
-    """Return a uniform direction from a point into the cone around a sphere, and the cone's share of 4π.
+    """Return a uniform direction into the cone around a sphere, and the cone's fraction of 4π.
 
     Parameters
     ----------
     x, y, z : float, mm
-        The point, relative to the sphere's centre.
+        Point, relative to the sphere's centre.
     radius : float, mm
     key : uint64
-        Of the packet.
+        Packet key.
     """
     distance2 = x * x + y * y + z * z
     depth = 2.0 * _cone_share(x, y, z, radius)

@@ -1,8 +1,8 @@
 """Lamps and emitting targets, the sources of the forward method (the paper's).
 
-A lamp's packets go into the cone around the targets; the power that it sends elsewhere is booked as escaped at once.
-An emitting facet's packet is scattered where it starts, by the model of its emission. The adjoint method starts lamps'
-packets as well, for their light through glass (`render.parts`); those go into the cone around the glass.
+Lamp packets are aimed at the cone around the targets; the power in other directions is booked as escaped at once.
+Packets of emitting facets start there, scattered by the emission model. The adjoint method also starts lamp packets,
+aimed at the cone around glass, for lamp light through glass (`render.parts`).
 """
 
 from dataclasses import dataclass
@@ -42,10 +42,10 @@ from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, ObjectTables
 Array = NDArray[np.float64]
 
 CLEAR_OF_ALL = 2.0
-"""Distance from the origin, in radii of the sphere that holds everything, beyond which no packet of a lamp starts."""
+"""Distance from the origin, in radii of the sphere that holds everything, beyond which no lamp packet starts."""
 
 SOURCE_U, SIDE, PLACE_W, PLACE_T = 0, 5, 6, 7
-"""Dimensions of starting numbers; those between give the packet's point on the source and its direction."""
+"""Dimensions of starting numbers; those in between give the packet's point on the source and its direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +55,15 @@ class LightSource(Source):
     Attributes
     ----------
     first, count : int
-        Number of the first packet in its replicate, and number of packets from there on.
+        First packet in its replicate, and number of packets.
     total : int
         Number of packets that share the whole power.
     key : uint64
-        Key of the replicate's random numbers at this wavelength.
+        Random key of the replicate at this wavelength.
     nodes : Nodes
-        Wavelengths of the channel, of which each packet takes one.
+        Wavelengths of the channel. Each packet takes one.
     turn : Turn
-        Of the replicate in its group, which has the key.
+        Turn of the replicate in its group; the key belongs to the group.
     """
 
     first: int
@@ -77,7 +77,7 @@ class LightSource(Source):
         return self.count
 
     def launch(self, work: Workspace, part: range) -> None:
-        """Start some of the packets, if there is any light."""
+        """Start some of the packets, if the scene has sources."""
         tables = work.tables
         if len(tables.objects.sources):
             numbers = np.arange(self.first + part.start, self.first + part.stop) * self.turn.step + self.turn.first
@@ -97,7 +97,7 @@ def launch_forward(
     Parameters
     ----------
     numbers, colours : (n,) int64
-        Number of each packet in its replicate, and of its wavelength.
+        Packet numbers in the replicate, and their wavelength numbers.
     total : int
         Number of packets that share the whole power.
     replicate_key : uint64
@@ -136,7 +136,7 @@ def launch_forward(
 
 @kernel
 def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weight: float) -> None:
-    """Start a packet of a light towards the sphere that is aimed at; book the power in other directions as escaped."""
+    """Start a lamp packet towards the target sphere; book its other power as escaped."""
     x, y, z, dx, dy, dz, share = emitted(objects, objects.lamps.rows[number], packet.key)
     towards = weight * share
     flow.book[EMITTED] += weight
@@ -144,7 +144,7 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
     if towards <= 0.0:
         return
     packet.start = towards
-    # Embree's numbers are too coarse far away. The lamp's light comes to all that it may meet from nearer by.
+    # Embree's float32 is too coarse far away; a start nearer by still precedes everything that the ray may meet.
     ahead = -(x * dx + y * dy + z * dz) - CLEAR_OF_ALL * objects.outer_radius
     if ahead > 0.0:
         x, y, z = x + ahead * dx, y + ahead * dy, z + ahead * dz
@@ -154,14 +154,14 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
 
 @kernel
 def _from_medium(volumes: Any, space: ObjectSpace, packet: Any, number: int, weight: float) -> None:
-    """Emit a packet from a random point of a medium, drawn by about its emission, in a random direction.
+    """Emit a packet from a point of a medium, drawn approximately by emission, in a uniform direction.
 
     Parameters
     ----------
     volumes : Volumes or None
         As for `is_stopped_by_media`.
     number : int
-        Of the medium.
+        Number of the medium.
     weight : float
         One over the number of packets that share the medium's emission.
     """
@@ -201,7 +201,7 @@ def _from_medium(volumes: Any, space: ObjectSpace, packet: Any, number: int, wei
 
 @kernel
 def _from_facet(space: ObjectSpace, packet: Any, prim: int, weight: float) -> None:
-    """Emit a packet from a uniform point of a facet; of a sheet with two sides, from either."""
+    """Emit a packet from a uniform point of a facet, on either side of a two-sided sheet."""
     flow, objects, key = space.flow, space.objects, packet.key
     body = objects.facets[prim].body
     b, c = spread(objects, prim, start(key, PLACE_U), start(key, PLACE_V))
@@ -226,23 +226,23 @@ def _from_facet(space: ObjectSpace, packet: Any, prim: int, weight: float) -> No
 def _enter_bodies(
     glass: Any, objects: ObjectTables, packet: Any, target: int, x: float, y: float, z: float
 ) -> float:  # fmt: skip
-    """Let a packet start in the bodies round its place; return its power there over that in what bodies stand in.
+    """Put a packet into the bodies around its start; return its power relative to outside them.
 
     Parameters
     ----------
     glass : GlassTables or None
-        None: there are no bodies, and numba compiles nothing but the first line.
+        None: there are no bodies, and numba compiles only the first line.
     objects : ObjectTables
     packet : PACKET
     target : int
-        That emits.
+        Number of the emitting target.
     x, y, z : float, mm
-        The place, object frame.
+        Start, object frame.
 
     Returns
     -------
     float
-        n² by temperature, as the radiance of a black body; else 1. 0: in more bodies than packets can keep.
+        Relative n² for thermal emission, as for a black body; else 1. 0 in more bodies than a packet can record.
     """
     if glass is None or not glass.emits_inside[target]:
         return 1.0

@@ -1,8 +1,8 @@
-"""Particles as sources of packets, traced forward in both methods: no ray from the sensor meets a point.
+"""Particles as packet sources, traced forward in both methods: no ray from the sensor hits a point.
 
-Each particle starts the same number of packets, aimed at the lens's opening as it sees it, by scrambled Sobol' points
-of its own. The power that it sends elsewhere is booked as escaped at once. Targets hide particles and absorb what falls
-on them: particles do not light them. Where there is glass or liquid they are aimed through it.
+Each particle starts the same number of packets from its own scrambled Sobol' points, aimed at the lens opening as seen
+from there, also through glass or liquid. Its other power is booked as escaped at once. Targets hide particles and
+absorb their light; particles do not light targets.
 """
 
 from dataclasses import dataclass
@@ -47,17 +47,17 @@ class ParticleSource(Source):
     Attributes
     ----------
     particles : ParticleTables
-        n of them.
+        Tables of n particles.
     first, count : int
-        Number of the first packet in its replicate, and number of packets from there on.
+        First packet in its replicate, and number of packets.
     samples : int
-        Packets of each particle in the replicate.
+        Packets per particle in the replicate.
     key : uint64
-        Key of the replicate's random numbers at this wavelength.
+        Random key of the replicate at this wavelength.
     nodes : Nodes
-        Wavelengths of the channel, of which each packet takes one.
+        Wavelengths of the channel. Each packet takes one.
     turn : Turn
-        Of the replicate in its group, which has the key.
+        Turn of the replicate in its group; the key belongs to the group.
     """
 
     particles: ParticleTables
@@ -94,9 +94,9 @@ def launch_particles(
     Parameters
     ----------
     numbers, colours : (n,) int64
-        Number of each packet in its replicate, and of its wavelength.
+        Packet numbers in the replicate, and their wavelength numbers.
     samples : int
-        Packets of each particle in the replicate.
+        Packets per particle in the replicate.
     replicate_key : uint64
     particles : ParticleTables
     objects : ObjectTables
@@ -110,7 +110,7 @@ def launch_particles(
     packet.last, packet.column, packet.facet, packet.node = NO_SURFACE, NO_SURFACE, NO_SURFACE, NO_SURFACE
     packet.medium, packet.space, packet.events, packet.path = AIR, 0, 0, ON_IMAGE_PATH
     in_glass = bool(particles.inside.any())
-    # Nothing else is aimed: glass may bend it into the lens, and what it meets is not lit by another packet.
+    # Nothing else is aimed: glass may bend it into the lens, and no other packet lights what it meets.
     packet.kind = SPECULAR
     depolarise(flow.polarised, packet)
     n = len(particles.points)

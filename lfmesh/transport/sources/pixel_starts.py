@@ -1,4 +1,4 @@
-"""Numbers by which samples of pixels start, and working memory for launches, which draw them in blocks."""
+"""Starting numbers of pixel samples, drawn in blocks, and working memory of launches."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from lfmesh.transport.tables.tables import LensletAim
 Array = NDArray[np.float64]
 
 STARTS = BLOCK
-"""Samples whose numbers are drawn together: as many as a bundle of the sequential engine holds."""
+"""Number of samples drawn together: the capacity of a bundle of the sequential engine."""
 
 
 @by_address
@@ -33,8 +33,8 @@ class StartRoom(NamedTuple):
     scrambling: NDArray[np.uint32]  # (6, STARTS)
     numbers: Array  # (6, STARTS) starting numbers of each sample
     keys: NDArray[np.uint64]  # (STARTS,)
-    near: Array  # (most + 1, LISTED) lenslets that points of a pixel may see, and behind them those of a sample
-    cells: NDArray[np.int64]  # (most + 1,) lenslets that may show it to one point, see `cells_that_show`
+    near: Array  # (most + 1, LISTED) lenslets that points of a pixel may see, followed by those of a sample
+    cells: NDArray[np.int64]  # (most + 1,) lenslets that may show the opening to one point, see `cells_that_show`
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
 
@@ -45,7 +45,7 @@ def start_room(aim: LensletAim, record: np.dtype[np.void] = PACKET, *, diffracts
     ----------
     aim : LensletAim
     record : dtype
-        Of packets.
+        Packet record.
     diffracts : bool
         Lenslets diffract.
     """
@@ -68,15 +68,15 @@ def start_room(aim: LensletAim, record: np.dtype[np.void] = PACKET, *, diffracts
 def draw_numbers(
     room: StartRoom, stratified: bool, replicate_key: np.uint64, entries: Entries, which: int, place: int, count: int,
 ) -> None:  # fmt: skip
-    """Draw the starting numbers of `count` samples: from each pixel's own Sobol' set, or at random.
+    """Draw the starting numbers of `count` samples, from each pixel's Sobol' set or at random.
 
     Parameters
     ----------
     stratified : bool
-        From Sobol' sets.
+        Use Sobol' sets.
     entries : Entries
     which, place : int
-        Number of the entry, and place among its samples, of the first sample.
+        Number of the entry that holds the first sample, and the sample's place in it.
     """
     pixel_key = derived(replicate_key, entries.pixel[which])
     for i in range(count):
@@ -107,13 +107,13 @@ def draw_numbers(
 
 @kernel
 def begin_launch(room: StartRoom, colour: int, lens_surfaces: int) -> None:
-    """Set the fields that all packets of a launch have in common.
+    """Set the fields common to all packets of a launch.
 
     Parameters
     ----------
     room : StartRoom
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     lens_surfaces : int
         Number of refracting surfaces of the lens.
     """

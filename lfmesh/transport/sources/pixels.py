@@ -1,9 +1,9 @@
 """Pixels, the sources of the adjoint method: rays through the lenslets that show them the exit pupil.
 
-A pixel's power is the integral of radiance over its area and the directions it sees, W = ∫∫ L cos θ dω dA. The packet
-carries the importance cos θ dA / density, in m² sr. At an interface radiance over n² is conserved but for T, so the
-importance would gain (n_i/n_t)² at every crossing. The pixel lies in air, so all of them together are one over n² of
-the medium that the light starts in: they are left out, and what light brings is divided by n² instead.
+A pixel's power is the integral of radiance over its area and its directions, W = ∫∫ L cos θ dω dA. A packet carries the
+importance cos θ dA / density, in m² sr. Apart from T, interfaces conserve radiance over n², so the importance would
+gain (n_i/n_t)² at each. The pixel lies in air, so these factors multiply to 1/n² of the medium where the light starts.
+They are omitted, and the light is divided by n² instead.
 """
 
 from dataclasses import dataclass
@@ -97,17 +97,17 @@ class PixelSource(Source):
     pixels : (n,) int64
         Pixel numbers, row by row.
     samples : int
-        Samples of each pixel.
+        Samples per pixel.
     key : uint64
-        Key of the random numbers.
+        Random key.
     nodes : Nodes
-        Wavelengths of the channel, of which each sample takes one; the first of all if left out.
+        Wavelengths of the channel, one per sample. Default: the first of all.
     stratified : bool
-        Start from scrambled Sobol' points in place of random ones.
+        Start from scrambled Sobol' points instead of random ones.
     channel : int, optional
-        Column of the film that light is added to; that of the first wavelength if left out.
+        Column of the film that receives the light. Default: that of the first wavelength.
     turn : Turn
-        Of the replicate in its group, which has the key.
+        Turn of the replicate in its group; the key belongs to the group.
     """
 
     pixels: NDArray[np.int64]
@@ -123,7 +123,7 @@ class PixelSource(Source):
 
     @property
     def each(self) -> int:
-        """Samples of a pixel."""
+        """Samples per pixel."""
         return self.samples
 
     def launch(self, work: Workspace, part: range) -> None:
@@ -149,7 +149,7 @@ class PixelSource(Source):
         )
         seen = tables.frames if tables.apparent is None else tables.apparent
         on_image_path = options.faces == BY_ORDER and options.adjoint and options.paths != GHOSTS
-        # Of ghosts behind an array, those samples leave their pixels in new directions.
+        # For ghosts behind an array, unaimed samples get new directions later.
         unaimed_too = options.paths == GHOSTS and bool(tables.mla.present)
         if on_image_path and tables.cover is None:
             launch_along_image_path(
@@ -176,16 +176,16 @@ def launch_adjoint(
     ----------
     entries : Entries
     samples : int
-        Samples of a pixel that its light is divided by.
+        Number of samples that share a pixel's light.
     stratified : bool
-        Start from scrambled Sobol' points in place of random ones.
+        Start from scrambled Sobol' points instead of random ones.
     replicate_key : uint64
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     lens_surfaces : int
         Number of refracting surfaces of the lens.
     unaimed_too : bool
-        Also start samples, with weight 0, for which there is no direction towards the lens.
+        Also start samples without a direction towards the lens, with weight 0.
     bundle : (ROWS · BLOCK,) float64
         Working memory.
     """
@@ -218,7 +218,7 @@ def launch_along_image_path(
     route: Route, aim: AimTables, bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow,
     room: StartRoom,
 ) -> None:  # fmt: skip
-    """Start packets as `launch_adjoint` does, and take them through array and lens by the sequential engine at once.
+    """Start packets as `launch_adjoint` does, and take them along the image path at once.
 
     Parameters
     ----------
@@ -253,9 +253,9 @@ def _cells_shown(
     apertures: Any, array: ArraySeen, room: StartRoom, near: int, p: Vector, i: int, stratified: bool, colour: int,
     bundle: Array,
 ) -> tuple[Shown, float]:  # fmt: skip
-    """Return the lenslets that show the opening to a point of a pixel, with diffraction after the sample's own change.
+    """Return the lenslets that show a pixel's point the opening, after any deflection of the sample.
 
-    That change goes to the bundle. If it is far, also return the share of rays that go anywhere; else 0.
+    Writes the deflection to the bundle. Also returns the fraction of rays sent anywhere if it is large, else 0.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def _cells_shown(
     near : int
         Number of lenslets listed for the pixel.
     p : (3,) float, mm
-        Array frame.
+        Point, array frame.
     i : int
         Number of the sample in the block.
     """
@@ -279,7 +279,7 @@ def _cells_shown(
 def _kick_of_sample(
     apertures: Apertures, room: StartRoom, i: int, stratified: bool, colour: int
 ) -> tuple[float, float]:
-    """Return the first change of direction of a sample, as `kick_of_packet` does when it comes there."""
+    """Return a sample's first deflection by diffraction, as `kick_of_packet` does later."""
     if not stratified:
         return kick_by_key(apertures, colour, room.keys[i], apertures.events)
     key = key_of_kick(room.keys[i], apertures.events)
@@ -292,12 +292,12 @@ def _aim_rays(
     replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array,
     stratified: bool, book: Array,
 ) -> tuple[int, int]:  # fmt: skip
-    """Write a block of rays (sensor frame) and their weights to the bundle, by the numbers that were drawn.
+    """Write a block of rays (sensor frame) and weights to the bundle, from numbers already drawn.
 
     Returns
     -------
     which, place : int
-        Number of the entry, and place among its samples, with which the next block begins.
+        Entry that holds the first sample of the next block, and the sample's place in it.
     """
     area = area_of_sample(sensor, samples)
     # The sensor's normal towards the array.
@@ -317,7 +317,7 @@ def _aim_rays(
                 x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
                 px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
                 near = list_cells_of_pixel(mla.apertures, array, (px, py, pz), extent, room.near)
-                # Diffraction may add others.
+                # Diffraction may add lenslets.
                 sees = near > 0 or mla.apertures is not None
                 wide = aim.exit.wide_share if sees else aim.exit.share_without_aim
                 unaimed = unaimed_share(wide)
@@ -356,8 +356,8 @@ def _aim_rays(
         book[EMITTED] += weight
         packet = room.packets[i]
         packet.source = pixel | (entries.place[which] * samples + sample) << SAMPLE_SHIFT
-        # Blind rays weigh a hundred times as much as those through a lenslet that shows the opening. Their children are
-        # followed until they weigh as little, so that a pixel's error is not that of the few that survive roulette.
+        # Blind rays weigh a hundred times as much as rays through a lenslet that shows the opening. Their children are
+        # followed down to that smaller weight, so that the few survivors of roulette do not dominate a pixel's error.
         packet.key, packet.start, packet.events = room.keys[i], min(weight, usual) if weight > 0.0 else usual, 0
         place += 1
         if place == entries.taken[which]:

@@ -1,4 +1,4 @@
-"""Given rays as a source: a user's own, or those from a field point."""
+"""Given rays as a source: a user's own rays, or rays from a field point."""
 
 from dataclasses import dataclass
 
@@ -33,26 +33,25 @@ Numbers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class RaySource(Source):
-    """Rays, each of which starts one packet.
+    """Given rays. Each starts one packet.
 
     Attributes
     ----------
     position : (n, 3) float64, mm, camera frame
     direction : (n, 3) float64, unit, camera frame
     station, space : (n,) int64
-        Station at which each ray waits, and the space of the lens in which it starts.
+        Station where each ray waits, and the space of the lens where it starts.
     weight : (n,) float64
         Power of each ray.
     key : uint64
-        Key of the random numbers.
+        Random key.
     away : float, mm
-        Distance from the start within which nothing is met.
+        Distance from the start within which the ray meets nothing.
     inside : (n,) int64, optional
-        Bodies of glass that each ray starts in, from `glass_round`; the rays that wait elsewhere than in object space
-        have none.
+        Glass bodies around the start of each ray, from `glass_round`; none for rays outside object space.
     stokes, reference : (n, 3) float64, optional
         In scenes with polarised light: Q, U and V over I, and the reference direction, world frame, square to the ray.
-        Omitted, the rays are unpolarised.
+        If omitted, the rays are unpolarised.
     """
 
     position: Array
@@ -88,7 +87,7 @@ class RaySource(Source):
                 self._polarise(work.stacks.waiting(int(station))[waiting[station] :], work)
 
     def _polarise(self, started: Records, work: Workspace) -> None:
-        """Give rays that have been queued their states of polarisation."""
+        """Set the polarisation states of queued rays."""
         number = started["source"]
         started["stokes"] = 0.0 if self.stokes is None else self.stokes[number]
         if self.reference is None:
@@ -103,7 +102,7 @@ def launch_rays(
     first: int, p: Array, d: Array, station: Numbers, space: Numbers, weight: Array, away: float, reach: float,
     medium: Numbers, key: np.uint64, flow: Flow, template: NDArray[np.void],
 ) -> None:  # fmt: skip
-    """Queue rays at their stations; parameters as the attributes of `RaySource`.
+    """Queue rays at their stations; the other parameters are attributes of `RaySource`.
 
     Parameters
     ----------
@@ -112,7 +111,7 @@ def launch_rays(
     p, d : (n, 3) float64
         Position, mm, and direction, camera frame.
     reach : float, mm
-        By how much coordinates in object space may exceed those of the camera frame, and size of its largest facet.
+        Bound on the increase of coordinates from camera frame to object space, plus the largest facet.
     medium : (K + 1,) int64
         Medium of each space of the lens.
     template : (1,) PACKET
@@ -136,5 +135,5 @@ def launch_rays(
             p[i, 0], p[i, 1], p[i, 2], d[i, 0], d[i, 1], d[i, 2], weight[i], derived(key, first + i), away,
         )  # fmt: skip
         if station[i] == OBJECTS and away == 0.0:
-            # In float32 a start close before a face may lie behind it.
+            # In float32 a start just in front of a face may lie behind it.
             started.query_from = -FLOAT32_GRAIN * (abs(p[i, 0]) + abs(p[i, 1]) + abs(p[i, 2]) + reach)

@@ -1,7 +1,7 @@
-"""Sources of packets, and the launcher that traces any of them through a world, chunk by chunk.
+"""Packet sources, and the launcher that traces them through a world, chunk by chunk.
 
-Every caller that traces packets (a render, `lf.trace`, the viewer, true depth) makes a source and gives it to a
-launcher. A new source is a class with two methods.
+Callers that trace packets (a render, `lf.trace`, the viewer, true depth) give a source to a launcher. A new source is a
+class with two methods.
 """
 
 import os
@@ -17,11 +17,11 @@ T = TypeVar("T")
 
 
 class Source(ABC):
-    """A sequence of items that packets start from: pixels, given rays, or numbers of a light's packets."""
+    """Sequence of items that start packets: pixels, rays, or numbers of a light's packets."""
 
     @property
     def each(self) -> int:
-        """Number of packets that start from one item."""
+        """Number of packets per item."""
         return 1
 
     @abstractmethod
@@ -35,20 +35,20 @@ class Source(ABC):
         Parameters
         ----------
         work : Workspace
-            Has room for the packets, and keeps working memory of the launch, see `Workspace.kept`.
+            Has room for the packets, and keeps the launch's working memory, see `Workspace.kept`.
         part : range
-            Of the items.
+            Range of items.
         """
 
     def parts(self, chunk: int = CHUNK) -> Iterator[range]:
-        """Yield the items in ranges that start about `chunk` packets each; one item is never divided."""
+        """Yield ranges of items that start about `chunk` packets each, without dividing items."""
         step = max(1, chunk // self.each)
         for first in range(0, len(self), step):
             yield range(first, min(first + step, len(self)))
 
 
 class Launcher:
-    """Traces the packets of sources; each thread has its own workspace.
+    """Tracer of sources; each thread has its own workspace.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Launcher:
         return work
 
     def trace(self, source: Source, part: range | None = None, film: FilmRows | None = None) -> Workspace:
-        """Trace all packets of a source, or of a part of it, to their ends; return the workspace with the results.
+        """Trace the packets of a source, or a part of it; return the workspace with the results.
 
         Parameters
         ----------
@@ -81,15 +81,15 @@ class Launcher:
         return work
 
     def launch(self, source: Source, part: range | None = None, film: FilmRows | None = None) -> Workspace:
-        """Queue all packets of a source, or of a part of it; return the workspace, ready to run.
+        """Queue the packets of a source, or a part of it; return the workspace, ready to run.
 
         Parameters
         ----------
         source : Source
         part : range, optional
-            Of the source's items.
+            Range of the source's items.
         film : FilmRows, optional
-            Adjoint: film that light is added to.
+            Adjoint: film that receives the light.
         """
         work, part = self.workspace, range(len(source)) if part is None else part
         work.begin(film, len(part) * source.each)
@@ -101,22 +101,22 @@ class Launcher:
     def traced(
         self, source: Source, keep: Callable[[Workspace, range], T], threads: int = 0, chunk: int = CHUNK
     ) -> list[T]:
-        """Trace a source chunk by chunk in a pool of threads; return the result of each chunk, in order.
+        """Trace a source chunk by chunk in a thread pool; return the chunks' results in order.
 
         Parameters
         ----------
         source : Source
         keep : callable
-            Called with the workspace and the range of items of each chunk, in the thread that traced it; returns the
-            result to keep.
+            Called with the workspace and item range of each chunk, in the thread that traced it; returns the result to
+            keep.
         threads : int
-            0: one for each processor.
+            Number of threads; 0: one per processor.
         chunk : int
-            Number of packets that are started together.
+            Number of packets started together.
         """
         parts = list(source.parts(chunk))
         if len(parts) == 1:
-            # To start a thread takes longer than to trace a few rays.
+            # Starting a thread takes longer than tracing a few rays.
             return [keep(self.trace(source, parts[0]), parts[0])]
         with Threads(threads or os.cpu_count() or 1) as pool:
             return list(pool.map(lambda part: keep(self.trace(source, part), part), parts))

@@ -1,7 +1,7 @@
-"""Wavelengths of a channel's samples: each takes one of the band's lines, and samples of one line start together.
+"""Wavelengths of a channel's samples, one spectral line each; samples of one line start together.
 
-Samples lie evenly over the band, from an offset on that random numbers give. Replicates may be a group, which takes the
-samples that a single replicate of its size would take, each every m-th of them.
+Samples lie evenly over the band, from a random offset. Replicates may form a group of m, which takes the samples of a
+single replicate of its size: each replicate every m-th of them.
 """
 
 from collections.abc import Iterator
@@ -18,42 +18,42 @@ Numbers = NDArray[np.int64]
 
 
 class Turn(NamedTuple):
-    """A replicate's turn in a group: the samples that it takes of those of the whole group."""
+    """Turn of a replicate in a group: its subset of the group's samples."""
 
     first: int = 0  # number of its first sample
-    step: int = 1  # from each of its samples to the next: number of replicates of the group
+    step: int = 1  # from one of its samples to the next: number of replicates in the group
 
 
 ALONE = Turn()
-"""Of a replicate that is a group by itself."""
+"""Turn of a replicate that is a group by itself."""
 
 
 @by_address
 class Entries(NamedTuple):
-    """Samples of pixels at one wavelength: of each entry some that follow each other."""
+    """Samples of pixels at one wavelength: each entry is a run of consecutive samples."""
 
     pixel: Numbers  # (n,) number of the pixel, row by row; it may have several entries
-    place: Numbers  # (n,) its place among the pixels that are launched together
+    place: Numbers  # (n,) place of the pixel among those launched together
     begin: Numbers  # (n,) number of the first sample
-    taken: Numbers  # (n,) samples
+    taken: Numbers  # (n,) number of samples
     turn: Turn
 
 
 def entries_of_pixels(
     nodes: Nodes, pixels: Numbers, samples: int, key: np.uint64, turn: Turn = ALONE
 ) -> Iterator[tuple[int, Entries]]:
-    """Yield the samples of pixels, wavelength by wavelength, each with its column.
+    """Yield the samples of pixels by wavelength, with their column.
 
-    Those of a pixel lie at even distances over the band, with an offset of the pixel's own.
+    The samples of a pixel are evenly spaced over the band, with the pixel's own offset.
 
     Parameters
     ----------
     nodes : Nodes
     pixels : (n,) int64
     samples : int
-        Of each pixel.
+        Samples per pixel.
     key : uint64
-        Key of the random numbers.
+        Random key.
     turn : Turn
     """
     if len(nodes.until) == 1:
@@ -74,33 +74,33 @@ def entries_of_pixels(
 def order_of_particles(
     nodes: Nodes, numbers: Numbers, particles: int, samples: int, key: np.uint64
 ) -> tuple[Numbers, Numbers]:
-    """Return packets of particles in the order of their wavelengths, and their columns.
+    """Return particle packets ordered by wavelength, and their columns.
 
-    Packet p · n + i is sample p of particle i of n. Those of a particle lie at even distances over the band, with an
-    offset of its own.
+    Packet p · n + i is sample p of particle i of n. The packets of a particle are evenly spaced over the band, with the
+    particle's own offset.
 
     Parameters
     ----------
     nodes : Nodes
     numbers : (m,) int64
-        Of the packets, in the group of replicates.
+        Packet numbers in the group of replicates.
     particles, samples : int
-        Number of particles, and of packets of each in the group.
+        Number of particles, and of packets per particle in the group.
     key : uint64
     """
     return _in_order(nodes, numbers, (numbers // particles) / samples + wavelength_numbers(key, numbers % particles))
 
 
 def order_of_packets(nodes: Nodes, numbers: Numbers, key: np.uint64) -> tuple[Numbers, Numbers]:
-    """Return packets of lights in the order of their wavelengths, and their columns.
+    """Return light packets ordered by wavelength, and their columns.
 
-    Packets that follow each other lie evenly over the band: at steps of the golden ratio.
+    Consecutive packets step over the band by the golden ratio, which spreads them evenly.
 
     Parameters
     ----------
     nodes : Nodes
     numbers : (n,) int64
-        Of the packets.
+        Packet numbers.
     key : uint64
     """
     steps = (numbers.astype(np.uint64) * GOLDEN).astype(np.float64) * 2.0**-64
@@ -116,6 +116,6 @@ def _in_order(nodes: Nodes, numbers: Numbers, places: NDArray[np.float64]) -> tu
 
 
 def _alike(values: Numbers) -> list[Numbers]:
-    """Return the places of each of some values, by increasing value."""
+    """Return the indices of each distinct value, by increasing value."""
     order = np.argsort(values, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(values[order])) + 1) if len(values) else []

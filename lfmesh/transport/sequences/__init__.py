@@ -1,1 +1,1 @@
-"""The sequential engine: blocks of rays through exact surfaces in their known order."""
+"""Sequential engine: blocks of rays through exact surfaces in a known order."""

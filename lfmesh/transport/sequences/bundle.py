@@ -1,10 +1,10 @@
-"""A block of rays that are followed together, laid out for vector instructions.
+"""Bundle: a block of rays followed together, laid out for vector instructions.
 
-A bundle is one float64 array of `ROWS` rows of `BLOCK` values, at constant offsets, so that the compiler sees that rows
-do not overlap. Loops run over the whole block; the places beyond the last ray hold rays that have ended. There are no
-branches: a ray that ends keeps its point and its slot while the others continue.
+A bundle is one float64 array of `ROWS` rows of `BLOCK` values at constant offsets, which tells the compiler that rows
+do not overlap. Loops run over the whole block; places beyond the last ray hold rays that have ended. There are no
+branches: an ended ray keeps its point and its slot while the others continue.
 
-At each face a module for its shape writes where the rays meet it, and `division` what goes on from there.
+At each face, the module for its shape writes the intersections, and `division` the rays that continue.
 """
 
 from typing import Any
@@ -22,28 +22,28 @@ BLOCK = 128
 # Position and unit direction, mm; weight; power not followed; interfaces met; book slot + 1 of what ended the ray.
 X, Y, Z, DX, DY, DZ = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK
 WEIGHT, LEFT_BEHIND, MET, ENDED_ON = 6 * BLOCK, 7 * BLOCK, 8 * BLOCK, 9 * BLOCK
-# The face: where the ray meets it, mm, the unit normal there along the ray, and the value that `ENDED_ON` takes if the
-# ray goes no further than that; 0 where it meets the interface.
+# The face: intersection point, mm, unit normal there along the ray, and the value that `ENDED_ON` takes if the ray
+# ends there; 0 if it meets the interface.
 AT_X, AT_Y, AT_Z, NX, NY, NZ = 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK, 14 * BLOCK, 15 * BLOCK
 FATE = 16 * BLOCK
-# The interface: shares of the power, cosine of refraction, and the power that it absorbs. Of a coating's table: the
-# piece, the distance from its middle, and the first of the rows of its coefficients.
+# The interface: reflected and transmitted fractions of the power, cosine of refraction, absorbed power. Coating table:
+# piece, distance from its middle, and first row of its coefficients.
 REFLECTED, TRANSMITTED, COS_T, TAKEN = 17 * BLOCK, 18 * BLOCK, 19 * BLOCK, 20 * BLOCK
 PIECE, WITHIN, COEFFICIENTS = 21 * BLOCK, 22 * BLOCK, 23 * BLOCK
-# Distance at which a surface of the lens is met, mm; −1: nowhere. Distance at which the last one is met again.
+# Distance to a lens surface, mm; −1: missed. Distance to the second hit on the surface just left.
 T, AGAIN = 29 * BLOCK, 30 * BLOCK
-# Factor by which thin lenses have changed importance since `begin_etendue`.
+# Factor of thin lenses on importance since `begin_etendue`.
 ETENDUE = 31 * BLOCK
 SCRATCH = 32 * BLOCK
-"""First of the rows that the modules for shapes use as working memory."""
-# For diffraction: the key of the ray's packet, an integer in the memory of a float, and the events before the bundle;
-# a change of direction that is drawn already, and after how many events it comes (−1: none is).
+"""First working row of the modules for shapes."""
+# For diffraction: key of the ray's packet (an integer in the memory of a float) and its events before the bundle; a
+# deflection drawn in advance, and the number of events before it (−1: none drawn).
 KEY, EVENTS_BEFORE = 40 * BLOCK, 41 * BLOCK
 KICK_X, KICK_Y, KICK_AT = 42 * BLOCK, 43 * BLOCK, 44 * BLOCK
 ROWS = 45
 
 DROPPED = -1.0
-"""In place of slot + 1: the ray has left the path that is followed, and all its power was left behind."""
+"""In place of slot + 1: the ray has left its path, and all its power was left behind."""
 
 BESIDE = -2.0
 """In place of slot + 1: the ray passes beside the lens."""
@@ -55,7 +55,7 @@ def empty_bundle(rows: int = ROWS) -> Array:
     Parameters
     ----------
     rows : int
-        More than `ROWS` where a module keeps rows of its own.
+        More than `ROWS` for a module with rows of its own.
     """
     room = np.zeros(rows * BLOCK + 8)
     offset = (-room.ctypes.data // 8) % 8
@@ -91,7 +91,7 @@ def pad(bundle: Array, count: int) -> None:
 
 @kernel
 def move_bundle(bundle: Array, move: Array) -> None:
-    """Transform a bundle into another frame by a rigid move, (3, 4): rotation and shift."""
+    """Transform a bundle into another frame by a rigid motion, (3, 4)."""
     xx, xy, xz, x0 = move[0, 0], move[0, 1], move[0, 2], move[0, 3]
     yx, yy, yz, y0 = move[1, 0], move[1, 1], move[1, 2], move[1, 3]
     zx, zy, zz, z0 = move[2, 0], move[2, 1], move[2, 2], move[2, 3]
@@ -108,7 +108,7 @@ def move_bundle(bundle: Array, move: Array) -> None:
 
 @kernel
 def normalise(bundle: Array) -> None:
-    """Normalise the directions, whose length every interface changes by a rounding error."""
+    """Normalise the directions, which every interface changes by a rounding error."""
     for i in range(BLOCK):
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
         scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -117,7 +117,7 @@ def normalise(bundle: Array) -> None:
 
 @pasted
 def set_fate(bundle: Array, i: int, t: float, fate: float) -> None:
-    """Enter that a ray ends after a distance; with fate 0, that it meets the interface there.
+    """Set a ray's fate, and its point at a distance; fate 0: it meets the interface.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def set_fate(bundle: Array, i: int, t: float, fate: float) -> None:
 
 @pasted
 def set_normal(bundle: Array, i: int, nx: float, ny: float, nz: float) -> None:
-    """Enter the unit normal, along the ray, where a ray meets its face.
+    """Set the unit normal, along the ray, at its intersection.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def set_normal(bundle: Array, i: int, nx: float, ny: float, nz: float) -> None:
 
 @kernel
 def drop(bundle: Array, i: int) -> None:
-    """End a ray that leaves the path which is followed.
+    """End a ray that leaves its path.
 
     Parameters
     ----------
@@ -163,14 +163,14 @@ def drop(bundle: Array, i: int) -> None:
 
 @kernel
 def absorb(bundle: Array, absorption: Any, medium: int, colour: int, book: Array) -> None:
-    """Take from rays what a medium absorbs before the face that they meet next.
+    """Attenuate rays by the absorption of a medium up to the next face.
 
     Parameters
     ----------
     bundle : (ROWS · BLOCK,) float64
     absorption : Absorption or None
     medium, colour : int
-        Numbers of the medium and of the wavelength.
+        Medium and wavelength numbers.
     book : (slots,) float64
     """
     if absorption is None:
@@ -191,7 +191,7 @@ def absorb(bundle: Array, absorption: Any, medium: int, colour: int, book: Array
 
 @kernel
 def end_by_fate(bundle: Array) -> None:
-    """End the rays whose fate is not 0, where they meet the face; the others stay where they are."""
+    """End the rays with a fate other than 0 at their points on the face."""
     for i in range(BLOCK):
         ended, fate = bundle[ENDED_ON + i], bundle[FATE + i]
         ends = both(ended == 0.0, fate != 0.0)

@@ -1,7 +1,7 @@
-"""The division of light at an interface: a block of rays goes on refracted or reflected, with that share of its power.
+"""Division of light at an interface: a block of rays continues refracted or reflected.
 
-Bare, coated and absorbing interfaces and thin lenses, of all shapes: where rays meet a face, and the normal there,
-stand in the bundle. What a coating absorbs is entered in the book; the rest of the power is left behind.
+Covers bare, coated and absorbing interfaces and thin lenses of all shapes. The bundle holds the intersections and
+normals. Power absorbed by a coating is booked; the rest that does not continue is left behind.
 """
 
 import numpy as np
@@ -54,7 +54,7 @@ from lfmesh.transport.tables.tables import ABSORBING, BARE, THIN_LENS, Interface
 
 Array = NDArray[np.float64]
 
-# The coefficients of a piece of a coating's table, as many as `TERMS`.
+# The `TERMS` coefficients of a piece of a coating's table.
 _C0, _C1, _C2 = COEFFICIENTS, COEFFICIENTS + BLOCK, COEFFICIENTS + 2 * BLOCK
 _C3, _C4, _C5 = COEFFICIENTS + 3 * BLOCK, COEFFICIENTS + 4 * BLOCK, COEFFICIENTS + 5 * BLOCK
 
@@ -64,23 +64,23 @@ def divide(
     bundle: Array, interfaces: Interfaces, number: int, colour: int, indices: tuple[float, float], outward: bool,
     mirrors: bool, book: Array,
 ) -> None:  # fmt: skip
-    """Take the rays of a bundle through the face that they meet, or reflect them there.
+    """Take the rays of a bundle through their face, or reflect them there.
 
     Parameters
     ----------
     bundle : (ROWS · BLOCK,) float64
     interfaces : Interfaces
-        Of the region.
+        Interfaces of the region.
     number, colour : int
         Row of the interface, and number of the wavelength.
     indices : (2,) float
         Refractive index before and after the interface.
     outward : bool
-        Rays come from the side that the layers of a coating end with.
+        Rays come from the side of a coating's last layer.
     mirrors : bool
-        They are reflected; else refracted.
+        Reflect the rays; else refract them.
     book : (slots,) float64
-        For light that a coating absorbs.
+        Receives light absorbed by a coating.
     """
     row = interfaces.rows[number]
     if row.kind == THIN_LENS:
@@ -102,7 +102,7 @@ def divide(
 
 @pasted
 def go_on(bundle: Array, i: int, moves: bool, ray: Ray, fate: float, share: float, taken: float) -> None:
-    """Continue ray `i` from a point of a face, or end it there; a ray that has ended is left as it is.
+    """Continue ray `i` from a point of a face, or end it there, unless it has ended before.
 
     Parameters
     ----------
@@ -110,15 +110,15 @@ def go_on(bundle: Array, i: int, moves: bool, ray: Ray, fate: float, share: floa
     i : int
         Place in the block.
     moves : bool
-        Whether the ray comes to the point; a ray that misses the face ends where it is.
+        The ray reaches the point; a ray that misses the face ends in place.
     ray : Ray
-        The point, and the direction in which it goes on.
+        The point, and the direction of the continued ray.
     fate : float
-        What ends it, or 0, see `bundle.FATE`.
+        Fate that ends the ray, or 0, see `bundle.FATE`.
     share : float
-        Share of its power that goes on; with 0 it is dropped.
+        Fraction of its power that continues; with 0 it is dropped.
     taken : float
-        Power that the interface absorbs.
+        Power absorbed by the interface.
     """
     weight, ended = bundle[WEIGHT + i], bundle[ENDED_ON + i]
     alive = ended == 0.0
@@ -129,7 +129,7 @@ def go_on(bundle: Array, i: int, moves: bool, ray: Ray, fate: float, share: floa
     on = select(goes, weight * share, select(both(alive, now == DROPPED), 0.0, weight))
     bundle[ENDED_ON + i] = now
     bundle[MET + i] += select(arrives, 1.0, 0.0)
-    # Power that is neither passed on nor absorbed is reflected, under total reflection all of it.
+    # Power neither passed on nor absorbed is reflected; under total reflection, all of it.
     bundle[LEFT_BEHIND + i] += weight - on - taken
     bundle[WEIGHT + i] = on
     bundle[X + i] = select(moves, ray.x, bundle[X + i])
@@ -142,7 +142,7 @@ def go_on(bundle: Array, i: int, moves: bool, ray: Ray, fate: float, share: floa
 
 @kernel
 def _refract(bundle: Array, indices: tuple[float, float]) -> None:
-    """Refract rays at a bare interface, by Snell's law and Fresnel's equations without branches."""
+    """Refract rays at a bare interface, without branches."""
     n_i, n_t = indices
     eta = n_i / n_t
     for i in range(BLOCK):
@@ -161,7 +161,7 @@ def _refract(bundle: Array, indices: tuple[float, float]) -> None:
 
 @pasted
 def _incidence(bundle: Array, i: int) -> float:
-    """Return the cosine of the angle of incidence of a ray."""
+    """Return the cosine of a ray's angle of incidence."""
     cosine = bundle[NX + i] * bundle[DX + i] + bundle[NY + i] * bundle[DY + i] + bundle[NZ + i] * bundle[DZ + i]
     return select(cosine < 1.0, cosine, 1.0)
 
@@ -178,7 +178,7 @@ def _find_bare_shares(bundle: Array, indices: tuple[float, float]) -> None:
 def _find_coated_shares(
     bundle: Array, interfaces: Interfaces, number: int, colour: int, indices: tuple[float, float], outward: bool
 ) -> None:
-    """Find the shares as `coated_shares` does; only the reading of a table's coefficients is no vector code."""
+    """Find the fractions as `coated_shares` does; only table look-ups are not vectorised."""
     row, parameters = interfaces.rows[number], interfaces.parameters
     first, size, absorbs = row.first, TERMS * row.pieces, row.kind == ABSORBING
     _find_places(bundle, indices, row.pieces)
@@ -197,7 +197,7 @@ def _find_coated_shares(
 
 @kernel
 def _find_places(bundle: Array, indices: tuple[float, float], pieces: int) -> None:
-    """Find the places of rays in a coating's table; leaves a transmittance of 0 where reflection is total, or of 1."""
+    """Find the places of rays in a coating's table; transmittance 0 marks total reflection, 1 the rest."""
     n_i, n_t = indices
     for i in range(BLOCK):
         cos_i = _incidence(bundle, i)
@@ -219,7 +219,7 @@ def _find_places_under_total_reflection(bundle: Array, indices: tuple[float, flo
 
 @kernel
 def _read(bundle: Array, parameters: Array, first: int, if_total: int, colour: int) -> None:
-    """Read the coefficients of a quantity, which begin in other rows if reflection is total."""
+    """Read the coefficients of a quantity, from row `if_total` under total reflection, else `first`."""
     for i in range(BLOCK):
         at = (if_total if bundle[TRANSMITTED + i] == 0.0 else first) + TERMS * int(bundle[PIECE + i])
         bundle[_C0 + i], bundle[_C1 + i] = parameters[at, colour], parameters[at + 1, colour]
@@ -229,7 +229,7 @@ def _read(bundle: Array, parameters: Array, first: int, if_total: int, colour: i
 
 @pasted
 def _looked_up(bundle: Array, i: int) -> float:
-    """Return a share from the coefficients that have been read."""
+    """Return the fraction that the coefficients give."""
     x = bundle[WITHIN + i]
     share = bundle[_C4 + i] + x * bundle[_C5 + i]
     share = bundle[_C2 + i] + x * (bundle[_C3 + i] + x * share)
@@ -239,7 +239,7 @@ def _looked_up(bundle: Array, i: int) -> float:
 
 @kernel
 def _share_all(bundle: Array) -> None:
-    """Enter the shares at a coating that absorbs nothing."""
+    """Set the fractions at a coating that does not absorb."""
     for i in range(BLOCK):
         reflectance = select(bundle[TRANSMITTED + i] == 0.0, 1.0, _looked_up(bundle, i))
         bundle[REFLECTED + i], bundle[TRANSMITTED + i] = reflectance, 1.0 - reflectance
@@ -253,7 +253,7 @@ def _keep_passed(bundle: Array) -> None:
 
 @kernel
 def _share_rest(bundle: Array) -> None:
-    """Enter the shares at a coating that absorbs, of which the transmittance has been found."""
+    """Set the fractions at an absorbing coating with known transmittance."""
     for i in range(BLOCK):
         reflectance, passed = _looked_up(bundle, i), bundle[TAKEN + i]
         left, total = 1.0 - reflectance, bundle[TRANSMITTED + i] == 0.0
@@ -263,7 +263,7 @@ def _share_rest(bundle: Array) -> None:
 
 @kernel
 def _turn(bundle: Array, indices: tuple[float, float], mirrors: bool, absorbs: bool) -> None:
-    """Refract or reflect rays by the shares in the bundle."""
+    """Refract or reflect rays by the fractions in the bundle."""
     eta = indices[0] / indices[1]
     on = 1.0 if mirrors else eta
     for i in range(BLOCK):
@@ -296,7 +296,7 @@ def _through_thin_lens(bundle: Array, interfaces: Interfaces, number: int, colou
 
 @kernel
 def begin_etendue(interfaces: Interfaces, bundle: Array) -> None:
-    """Begin to count what thin lenses do to importance; nothing where the lens has none."""
+    """Begin to track the effect of any thin lenses on importance."""
     if interfaces.thin:
         for i in range(BLOCK):
             bundle[ETENDUE + i] = 1.0
@@ -304,12 +304,12 @@ def begin_etendue(interfaces: Interfaces, bundle: Array) -> None:
 
 @kernel
 def take_etendue(interfaces: Interfaces, bundle: Array, book: Array) -> None:
-    """Change the weights, of importance, by what thin lenses have done since `begin_etendue`, and enter it in the book.
+    """Scale the weights, which are importance, by the thin lenses since `begin_etendue`; book the change.
 
     Parameters
     ----------
     interfaces : Interfaces
-        Of the lens.
+        Interfaces of the lens.
     bundle : (ROWS · BLOCK,) float64
     book : (slots,) float64
     """

@@ -1,8 +1,8 @@
-"""The follower of sequences: blocks of rays from face to face of the camera, refracted at some and reflected at others.
+"""Follower of sequences: takes blocks of rays from face to face of the camera.
 
-A route is a list of faces, cut into legs in lens, array, and cover and sensor. It is all that tells the image path, a
-ghost and a user's ray apart. A ray leaves its route where it misses the next face, or meets another one before it: a
-neighbouring lenslet, or on a checked leg the surface that it comes from, on its hollow side.
+A route is a list of faces, cut into legs: lens, array, and cover with sensor. Only the route distinguishes the image
+path, a ghost and a user's ray. A ray leaves its route if it misses the next face or first meets another: a
+neighbouring lenslet or, on a checked leg, the concave side of the surface just left.
 """
 
 from functools import lru_cache
@@ -57,9 +57,9 @@ Array = NDArray[np.float64]
 class Route(NamedTuple):
     """Faces that rays meet in turn, leg by leg; one route may hold the legs of many sequences."""
 
-    steps: NDArray[np.int64]  # (steps, 2) the face, counted within its part, and whether rays are reflected there
-    # (legs, 5) part of the camera, first and last step (not included), whether it begins towards the sensor, and
-    # whether rays are dropped that meet the surface which they leave before the next
+    steps: NDArray[np.int64]  # (steps, 2) the face, counted within its part; 1: rays are reflected there
+    # (legs, 5) part of the camera, first step, end of the steps (excluded), 1 if the leg begins towards the sensor,
+    # and 1 if it is checked, see `route_of`
     legs: NDArray[np.int64]
 
 
@@ -70,7 +70,7 @@ def route_of(legs: list[Leg], *, checked: bool) -> Route:
     ----------
     legs : list of Leg
     checked : bool
-        Drop rays that meet the surface which they leave before the next.
+        Drop rays that meet the surface just left again before the next one.
     """
     ends = np.cumsum([0, *(len(leg.faces) for leg in legs)])
     steps = [met for leg in legs for met in zip(leg.faces, leg.reflected, strict=True)]
@@ -84,7 +84,7 @@ IN_LENS, IN_ARRAY, ARRAY_AGAIN, LENS_AGAIN = range(4)
 
 @lru_cache(maxsize=64)
 def image_route(surfaces: int, has_array: bool) -> Route:
-    """Return the image path in both directions, with an empty leg where there is no array.
+    """Return the image path in both directions; without an array, its legs are empty.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def image_route_of(tables: Tables) -> Route:
 
 @kernel
 def follow_legs(bundle: Array, camera: Camera, route: Route, first: int, last: int, colour: int, book: Array) -> None:
-    """Take a bundle (camera frame) along the legs from `first` on, up to but not including `last`.
+    """Take a bundle (camera frame) along the legs `first` to `last` (excluded).
 
     Parameters
     ----------
@@ -117,9 +117,9 @@ def follow_legs(bundle: Array, camera: Camera, route: Route, first: int, last: i
     route : Route
     first, last : int
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     book : (slots,) float64
-        For light that media and coatings absorb.
+        Receives light absorbed by media and coatings.
     """
     for leg in range(first, last):
         part, begin, end, to_sensor, checked = route.legs[leg]
@@ -140,7 +140,7 @@ def follow_legs(bundle: Array, camera: Camera, route: Route, first: int, last: i
 def _along_lens(
     bundle: Array, lens: LensTables, steps: NDArray[np.int64], to_sensor: bool, checked: bool, colour: int, book: Array
 ) -> None:
-    """Take a bundle along surfaces of the lens, and through its stop."""
+    """Take a bundle along lens surfaces and through the stop."""
     space, last = 0 if to_sensor else len(lens.surfaces), -1
     begin_etendue(lens.interfaces, bundle)
     for step in range(len(steps) + 1):
@@ -170,7 +170,7 @@ def _along_lens(
 
 @kernel
 def _drop_backward(bundle: Array, to_sensor: bool) -> None:
-    """Drop rays that do not travel in the direction in which their leg goes on."""
+    """Drop rays that travel against the direction of their leg."""
     for i in range(BLOCK):
         drops = both(bundle[ENDED_ON + i] == 0.0, (bundle[DZ + i] > 0.0) != to_sensor)
         bundle[ENDED_ON + i] = select(drops, DROPPED, bundle[ENDED_ON + i])
@@ -181,7 +181,7 @@ def _drop_backward(bundle: Array, to_sensor: bool) -> None:
 def _along_array(
     bundle: Array, mla: MlaTables, steps: NDArray[np.int64], to_sensor: bool, colour: int, frames: Array, book: Array
 ) -> None:
-    """Take a bundle along faces of the array: 0 is the one towards the lens, 1 the one towards the sensor."""
+    """Take a bundle along faces of the array: 0 faces the lens, 1 the sensor."""
     move_bundle(bundle, frames[CAMERA_FRAME, MLA_FRAME])
     for step in range(len(steps)):
         mirrors = steps[step, 1] != 0
@@ -199,7 +199,7 @@ def _along_array(
 def _along_planes(
     bundle: Array, camera: Camera, steps: NDArray[np.int64], to_sensor: bool, colour: int, book: Array
 ) -> None:
-    """Take a bundle along faces of the cover, and the sensor."""
+    """Take a bundle along the cover's faces and the sensor."""
     move_bundle(bundle, camera.frames[CAMERA_FRAME, SENSOR_FRAME])
     for step in range(len(steps)):
         mirrors = steps[step, 1] != 0
@@ -209,16 +209,16 @@ def _along_planes(
 
 
 RAY_WEIGHT, RAY_MET, RAY_ENDED, RAY_ETENDUE, END_ROWS = 6, 7, 8, 9, 10
-"""Rows of tables of rays, see `follow_rays`, after those of position and direction, and their number."""
+"""Rows of ray tables, see `follow_rays`, after those of position and direction, and the number of rows."""
 
 RAY_KICK_X, RAY_KICK_Y, RAY_KICK_AT = 7, 8, 9
-"""Rows of tables of rays that are to be diffracted at the array: change of direction there, and number of interfaces
-that the ray has met before."""
+"""Rows of tables of rays to be diffracted at the array: their deflection there, and the number of interfaces met
+before it."""
 
 
 @inlined
 def _give_kick(apertures: Any, rays: Array, n: int, bundle: Array, i: int) -> None:
-    """Enter the change of direction of a ray by diffraction at the array, if there is any."""
+    """Set the deflection of a ray by diffraction at the array, if any."""
     if apertures is None:
         return
     bundle[EVENTS_BEFORE + i] = 0.0
@@ -231,27 +231,28 @@ def follow_rays(
     rays: Array, ends: Array, order: NDArray[np.int64], first: NDArray[np.int64], legs: NDArray[np.int64],
     camera: Camera, route: Route, colour: int, book: Array, bundle: Array,
 ) -> None:  # fmt: skip
-    """Take rays along legs, each group of them along its own, in blocks.
+    """Take groups of rays along their legs, in blocks.
 
     Parameters
     ----------
     rays : (7 or more, n) float64
-        Position, mm, unit direction and weight of each, camera frame; where the array diffracts, see `RAY_KICK_X`, too.
+        Position, mm, unit direction and weight of each, camera frame; if the array diffracts, also the rows from
+        `RAY_KICK_X`.
     ends : (END_ROWS, n) float64
-        Filled for the rays in `order`: as `rays`, but for the length of the direction, to rounding; then the number of
-        interfaces that the ray has met, whether it has ended: 0 if not, and by what thin lenses divide its radiance.
+        Filled for the rays in `order`: as `rays`, with unit directions to rounding; then the number of interfaces met,
+        the cause of the end (0: not ended), and the factor by which thin lenses divide the radiance.
     order : (m,) int64
-        Rays of one group after those of another.
+        Ray numbers, group after group.
     first : (groups + 1,) int64
-        Where each group begins in `order`.
+        Start of each group in `order`.
     legs : (groups + 1,) int64
-        The first leg of each group; it ends before that of the next.
+        First leg of each group; the next group's is the end.
     camera : Camera
     route : Route
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     book : (slots,) float64
-        For light that media and coatings absorb.
+        Receives light absorbed by media and coatings.
     bundle : (ROWS · BLOCK,) float64
         Working memory.
     """

@@ -1,16 +1,16 @@
-"""Ghosts of the camera: packets from the sensor along sequences of its faces with two reflections, in blocks.
+"""Ghosts of the camera: blocks of packets from the sensor along sequences with two reflections.
 
-A packet takes the image path from its pixel to the lens. There one of the sequences is drawn for it, with probabilities
-that a coarse trace has found for rays that come to the lens at about the same place and in about the same direction;
-its weight is divided by that probability. The packets of one sequence are followed together through the exact faces of
-lens, array, cover and sensor, each weighted by the reflectances and transmittances that it meets; where the sequence
-turns back before the lens, from the pixel on. Before the lens they are packets like all others.
+A packet takes the image path from its pixel to the lens. There a sequence is drawn for it, with probabilities that a
+coarse trace has found for rays of similar place and direction; the packet's weight is divided by that probability.
+Packets of one sequence are followed together through the exact faces of lens, array, cover and sensor, weighted by the
+reflectances and transmittances on the way. They start behind the lens, or at the pixel if the sequence turns back
+before the lens. In object space they are packets like all others.
 
-What the array reflects back towards the sensor comes to the lens from other lenslets than the image path. So the
-packets of these sequences leave their pixels in new directions: some to anywhere on the array, the others at angles at
-which a coarse trace has found light.
+Light that the array reflects back to the sensor reaches the lens through other lenslets than the image path does.
+Packets of such sequences leave their pixels in new directions: some to anywhere on the array, the others at angles
+where a coarse trace has found light.
 
-Which paths these are is defined in `paths.automaton`; the sequences are all of them.
+`paths.automaton` defines these paths; the sequences cover all of them.
 """
 
 from typing import Any, NamedTuple
@@ -47,59 +47,58 @@ from lfmesh.transport.tables.tables import Camera, MlaTables
 Array = NDArray[np.float64]
 
 SEQUENCE, DIRECTION = 15, 17
-"""Dimensions of the random numbers that draw a sequence, and a new direction, among those of an event. What follows on
-the way out of the camera draws nothing."""
+"""Dimensions of an event's random numbers that draw a sequence and a new direction. The rest of the way to object space
+draws nothing."""
 
 RADII, HEIGHTS, ANGLES = 8, 8, 8
-"""Intervals by which rays are told apart that come to the lens, see `GhostTables`."""
+"""Numbers of intervals that define the kinds of rays at the lens, see `GhostTables`."""
 
 SINES = 32
-"""Equal intervals of the sine of the angle between the sensor's normal and a new direction."""
+"""Number of equal intervals of the sine of the angle between the sensor's normal and a new direction."""
 
 
 @by_address
 class GhostTables(NamedTuple):
-    """Sequences of faces with two reflections, from the sensor to object space, and how they are drawn.
+    """Sequences with two reflections, from the sensor to object space, and their sampling probabilities.
 
-    Each sequence is cut into legs in lens, array, and cover and sensor. Rays that come to the lens are told apart by
-    three numbers: the distances from the axis at which they cross a plane at the lens and the plane that they come
-    from, squared and in even intervals, at the lens within its opening and outside; and the cosine of the angle between
-    the two points as seen from the axis.
+    Each sequence is cut into legs: lens, array, and cover with sensor. Three numbers define the kind of a ray: the
+    squared radius in a plane at the lens, in even intervals inside its opening and outside; the squared radius in the
+    plane of origin, in even intervals; and the cosine of the angle at the axis between the two points.
     """
 
-    route: Route  # the legs from the sensor to the lens and back, on the image path, then those of the sequences
+    route: Route  # legs from the sensor to the lens and back, on the image path, then those of the sequences
     to_lens: int  # number of legs from the sensor to the lens
-    first: NDArray[np.int64]  # (sequences + 1,) first leg of each that packets follow
-    from_pixel: NDArray[np.bool_]  # (sequences,) whether that is from the pixel on; else it is from behind the lens on
-    lengths: NDArray[np.int64]  # (sequences,) faces that it meets
-    anew: NDArray[np.bool_]  # (sequences,) whether its packets leave the pixel in a new direction
-    share_anew: float  # chance that one of these is drawn
-    until_anew: Array  # (sequences,) cumulative chance of each among these
-    to_array: float  # share of the new directions to anywhere on the array; for the others `sines` holds
-    array_half_x: float  # mm, half of the array's sides
+    first: NDArray[np.int64]  # (sequences + 1,) first leg of each sequence that packets follow
+    from_pixel: NDArray[np.bool_]  # (sequences,) that leg starts at the pixel; else behind the lens
+    lengths: NDArray[np.int64]  # (sequences,) number of faces
+    anew: NDArray[np.bool_]  # (sequences,) packets leave the pixel in a new direction
+    share_anew: float  # probability that one of these sequences is drawn
+    until_anew: Array  # (sequences,) cumulative probability of each among these
+    to_array: float  # fraction of new directions to anywhere on the array; the others follow `sines`
+    array_half_x: float  # mm, half the sides of the array
     array_half_y: float
-    sines: Array  # (sequences, SINES) cumulative chance of the intervals of the new direction's sine
-    # (RADII · HEIGHTS · ANGLES + 1, sequences) cumulative chance of each other one for rays of each kind; the last row:
-    # for those that do not come to the lens
+    sines: Array  # (sequences, SINES) cumulative probability of the intervals of the new direction's sine
+    # (RADII · HEIGHTS · ANGLES + 1, sequences) cumulative probability of each other sequence for rays of each kind;
+    # last row: for rays that do not reach the lens
     until: Array
-    # (HEIGHTS, RADII · ANGLES) cumulative chance with which a ray from each height goes to each cell at the lens
+    # (HEIGHTS, RADII · ANGLES) cumulative probability that a ray from each height goes to each cell at the lens
     cells: Array
-    plane_z: float  # mm, camera frame: the plane at the lens
-    from_z: float  # mm, the plane that they come from: of the array or, without one, of the sensor
-    rings: Array  # (RADII + 1,) mm², squared distances at which the intervals of the distance begin and end at the lens
-    height: float  # mm, at which the intervals of the distance end where they come from
-    shown: Array  # (RADII,) root mean square of the light that comes to each ring at the lens, over all heights
+    plane_z: float  # mm, camera frame: plane at the lens
+    from_z: float  # mm, plane of origin: the array or, without one, the sensor
+    rings: Array  # (RADII + 1,) mm², squared radii that bound the intervals at the lens
+    height: float  # mm, radius that bounds the intervals in the plane of origin
+    shown: Array  # (RADII,) root mean square of the light that reaches each ring at the lens, over all heights
 
 
 class GhostRoom(NamedTuple):
     """Working memory for a wave of packets."""
 
-    rays: Array  # (RAY_MET + 1, n) of each packet of the wave, where it begins to follow its sequence
+    rays: Array  # (RAY_MET + 1, n) ray of each packet at the start of its sequence
     ends: Array  # (END_ROWS, n) see `follow_rays`
-    chance: Array  # (n,) of the sequence drawn for it
-    sequence: NDArray[np.int64]  # (n,) drawn for it; −1: it has ended
-    order: NDArray[np.int64]  # (n,) packets of the wave by their sequences
-    first: NDArray[np.int64]  # (sequences + 1,) where those of each sequence begin
+    chance: Array  # (n,) probability of the drawn sequence
+    sequence: NDArray[np.int64]  # (n,) drawn sequence; −1: the packet has ended
+    order: NDArray[np.int64]  # (n,) packets of the wave by sequence
+    first: NDArray[np.int64]  # (sequences + 1,) start of each sequence in `order`
     bundle: Array  # (ROWS · BLOCK,)
 
 
@@ -119,14 +118,14 @@ def ghost_room(packets: int, sequences: int) -> GhostRoom:
 def follow_ghosts(
     wave: NDArray[np.void], camera: Camera, ghosts: GhostTables, options: Options, flow: Flow, room: GhostRoom
 ) -> None:  # fmt: skip
-    """Take a wave of packets that have left their pixels through the camera, each along a sequence of its own.
+    """Take a wave of packets from their pixels through the camera, each along its own sequence.
 
-    Packets that come from object space end: by two reflections none gets back there.
+    Packets from object space end: two reflections do not bring them back there.
 
     Parameters
     ----------
     wave : (n,) PACKET
-        Of one wavelength.
+        Packets of one wavelength.
     camera : Camera
     """
     colour = int(wave["colour"][0]) if len(wave) > 0 else 0
@@ -148,9 +147,9 @@ def follow_ghosts(
 def _leave_pixels(
     wave: NDArray[np.void], camera: Camera, ghosts: GhostTables, options: Options, flow: Flow, room: GhostRoom
 ) -> int:  # fmt: skip
-    """Start the packets of a wave from the sensor: towards the lens, or in new directions; return how many to the lens.
+    """Start a wave from the sensor, to the lens or in new directions; return the number to the lens.
 
-    The first ones of `GhostRoom.order` are these.
+    Those to the lens come first in `GhostRoom.order`.
     """
     surfaces, frames = len(camera.lens.surfaces), camera.frames
     count = 0
@@ -164,7 +163,7 @@ def _leave_pixels(
             _start_anew(packet, i, camera, ghosts, options, room)
             continue
         if packet.weight == 0.0:
-            # It has left its pixel for new directions alone.
+            # The packet was started for new directions only.
             continue
         move_packet(frames, packet, CAMERA_FRAME)
         if not packet.dz < 0.0:
@@ -178,7 +177,7 @@ def _leave_pixels(
 
 @inlined
 def _start_ray(room: GhostRoom, n: int, ray: Ray, weight: float, met: float) -> None:
-    """Write the ray of a packet, and how many interfaces it has met."""
+    """Write a packet's ray and its number of interfaces met."""
     x, y, z, dx, dy, dz = ray
     rays = room.rays
     rays[0, n], rays[1, n], rays[2, n] = x, y, z
@@ -188,7 +187,7 @@ def _start_ray(room: GhostRoom, n: int, ray: Ray, weight: float, met: float) -> 
 
 @inlined
 def _direction_at_end(room: GhostRoom, n: int) -> tuple[float, float, float]:
-    """Return the unit direction in which the ray of a packet has come out."""
+    """Return the unit direction at the end of a packet's ray."""
     dx, dy, dz = room.ends[3, n], room.ends[4, n], room.ends[5, n]
     # Every interface changes its length by a rounding error.
     scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -197,7 +196,7 @@ def _direction_at_end(room: GhostRoom, n: int) -> tuple[float, float, float]:
 
 @kernel
 def _draw_sequences(wave: NDArray[np.void], count: int, ghosts: GhostTables, options: Options, room: GhostRoom) -> None:
-    """Draw a sequence for each of the packets that have gone to the lens, the first ones of `GhostRoom.order`."""
+    """Draw a sequence for each packet at the lens, the first ones in `GhostRoom.order`."""
     rays, ends = room.rays, room.ends
     lost = len(ghosts.until) - 1
     for i in range(count):
@@ -221,7 +220,7 @@ def _draw_sequences(wave: NDArray[np.void], count: int, ghosts: GhostTables, opt
 
 @kernel
 def _start_anew(packet: Any, n: int, camera: Camera, ghosts: GhostTables, options: Options, room: GhostRoom) -> None:
-    """Draw one of the sequences whose packets leave the pixel in a new direction, and the direction."""
+    """Draw a sequence with a new direction at the pixel, and that direction."""
     mla, frames = camera.mla, camera.frames
     move_packet(frames, packet, SENSOR_FRAME)
     u, _ = draw_two(options, packet, SEQUENCE)
@@ -266,21 +265,21 @@ def kind_of_ray(ghosts: GhostTables, x: float, y: float, z: float, dx: float, dy
 
 @inlined
 def interval_of_radius(ghosts: GhostTables, squared: float) -> int:
-    """Return the interval of a squared distance from the axis, mm², in the plane at the lens."""
+    """Return the interval of a squared radius, mm², in the plane at the lens."""
     return min(count_up_to(ghosts.rings, squared), RADII) - 1
 
 
 @inlined
 def interval_of_angle(product: float, lengths: float) -> int:
-    """Return the interval of the angle between two points as seen from the axis, by their scalar product."""
+    """Return the interval of the angle at the axis between two points, from their scalar product."""
     cosine = product / lengths if 0.0 < lengths < np.inf else 1.0
     return min(max(int(ANGLES * 0.5 * (1.0 - cosine)), 0), ANGLES - 1)
 
 
 @inlined
 def interval_of_height(ghosts: GhostTables, squared: float) -> int:
-    """Return the interval of a squared distance from the axis, mm², in the plane that rays come from."""
-    # Of rays that graze the plane the distance may be larger than any integer.
+    """Return the interval of a squared radius, mm², in the plane of origin."""
+    # For rays that graze the plane the distance may exceed any integer.
     return int(min(HEIGHTS * squared / (ghosts.height * ghosts.height), HEIGHTS - 1.0))
 
 
@@ -288,7 +287,7 @@ def interval_of_height(ghosts: GhostTables, squared: float) -> int:
 def _to_array(
     mla: MlaTables, ghosts: GhostTables, frames: Array, x: float, y: float, u: float, v: float
 ) -> tuple[float, float, float]:
-    """Return the direction (sensor frame) from a point of the sensor to one on the array.
+    """Return a direction (sensor frame) from the sensor to a uniform point of the array.
 
     Parameters
     ----------
@@ -305,12 +304,12 @@ def _to_array(
 
 @kernel
 def _at_sine(until: Array, u: float, v: float) -> tuple[float, float, float]:
-    """Return a direction from the sensor (its frame), evenly over the projected solid angle of an interval of the sine.
+    """Return a direction from the sensor (its frame), uniform in projected solid angle over a sine interval.
 
     Parameters
     ----------
     until : (SINES,) float64
-        Cumulative chance of the intervals.
+        Cumulative probability of the intervals.
     u, v : float
         Random numbers.
     """
@@ -326,14 +325,14 @@ def _density(
     mla: MlaTables, ghosts: GhostTables, frames: Array, until: Array, place: tuple[float, float],
     direction: tuple[float, float, float],
 ) -> float:  # fmt: skip
-    """Return the density, in 1/sr of projected solid angle, with which a new direction is drawn; 0 along the sensor.
+    """Return the sampling density, 1/sr of projected solid angle, of a new direction; 0 along the sensor.
 
     Parameters
     ----------
     until : (SINES,) float64
-        Cumulative chance of the intervals of its sine.
+        Cumulative probability of the intervals of its sine.
     place : (2,) float, mm
-        The point of the sensor.
+        Point on the sensor.
     direction : (3,) float
         Sensor frame.
     """
@@ -354,14 +353,14 @@ def _density(
 
 @inlined
 def _drawn(until: Array, u: float) -> tuple[int, float]:
-    """Return which of several things a random number draws, and its chance."""
+    """Return the item drawn by a random number, and its probability."""
     drawn = drawn_by(until, u)
     return drawn, until[drawn] - (until[drawn - 1] if drawn > 0 else 0.0)
 
 
 @kernel
 def _sort(count: int, room: GhostRoom) -> None:
-    """Sort the packets of a wave by their sequences, in their order within each."""
+    """Sort the packets of a wave by sequence, stably."""
     first = room.first
     for k in range(len(first)):
         first[k] = 0
@@ -376,7 +375,7 @@ def _sort(count: int, room: GhostRoom) -> None:
         if sequence >= 0:
             room.order[first[sequence]] = i
             first[sequence] += 1
-    # Each start has moved to the next sequence's.
+    # Each start has moved to the start of the next sequence.
     for k in range(len(first) - 1, 0, -1):
         first[k] = first[k - 1]
     first[0] = 0
@@ -384,7 +383,7 @@ def _sort(count: int, room: GhostRoom) -> None:
 
 @kernel
 def _hand_on(wave: NDArray[np.void], frames: Array, flow: Flow, room: GhostRoom) -> None:
-    """Queue the packets that have passed along their sequences for object space."""
+    """Queue the packets that completed their sequences for object space."""
     ends, events = room.ends, 0
     move = frames[CAMERA_FRAME, OBJECT_FRAME]
     for i in range(room.first[-1]):

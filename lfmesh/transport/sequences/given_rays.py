@@ -1,8 +1,8 @@
-"""A user's rays along the image path in blocks, from the caller's arrays straight to those of the result.
+"""A user's rays along the image path in blocks, directly between the caller's arrays and the results.
 
-Rays that certainly meet nothing but lens, array and sensor are followed here to their ends: those that start before
-the lens and run into it, and those that start behind it, in either direction. A ray of which that is not certain is
-left alone, and its fate says so; the caller traces it as a packet.
+This module follows rays to their ends if they certainly meet only lens, array and sensor: rays that start before the
+lens and enter it, or start behind it, in either direction. Other rays get the fate `UNSURE`, and the caller traces
+them as packets.
 """
 
 import os
@@ -62,14 +62,14 @@ from lfmesh.transport.tables.tables import Camera, Tables
 Array = NDArray[np.float64]
 Corner = tuple[float, float, float]
 
-# Rows beyond those of a bundle: the rays at their starts, camera frame, and their ways.
+# Rows beyond those of a bundle: the starts of the rays, camera frame, and their ways.
 _X, _Y, _Z = ROWS * BLOCK, (ROWS + 1) * BLOCK, (ROWS + 2) * BLOCK
 _DX, _DY, _DZ = (ROWS + 3) * BLOCK, (ROWS + 4) * BLOCK, (ROWS + 5) * BLOCK
 _WAY = (ROWS + 6) * BLOCK
 RAY_ROWS = ROWS + 7
-"""Rows of a bundle with the starts of its rays."""
+"""Number of rows of a bundle with the starts of its rays."""
 
-# Ways of a ray. The first three are none that is followed here.
+# Ways of a ray. The first three are not followed here.
 _REFUSED, _ABSENT, _UNSURE = -2, -1, 0
 _FROM_OBJECTS = 1  # through lens and array to the sensor
 _TO_SENSOR, _ON_SENSOR = 2, 3  # from between lens and sensor: through the array, or straight on
@@ -77,16 +77,16 @@ _TO_OBJECTS, _BACK = 4, 5  # through the lens into object space: straight away, 
 _WAYS = 6
 
 ENDED, GONE, UNSURE, REFUSED = 0, 1, 2, 3
-"""Fates: the ray has ended; it left the image path, so that there is no row for it; it is not followed here; its
-numbers make no ray."""
+"""Fates: the ray has ended; it left the image path and has no row; it is not followed here; its numbers make no
+ray."""
 
 
 PART = 32_768
-"""Number of rays that one call of the kernel follows: enough to outweigh the call."""
+"""Number of rays per kernel call, enough to outweigh the call."""
 
 
 class Ends(NamedTuple):
-    """Ends of rays, one row a ray; as the attributes of `Paths`."""
+    """Ends of rays, one per row; as the attributes of `Paths`."""
 
     position: Array  # (n, 3) mm, world frame
     direction: Array  # (n, 3)
@@ -98,7 +98,7 @@ class Ends(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """Rays that were followed, with the energy of those whose fate is `ENDED` or `GONE`."""
+    """Followed rays, and the energy of fates `ENDED` and `GONE`."""
 
     ends: Ends
     book: Array  # (slots,) float64
@@ -106,15 +106,15 @@ class Followed(NamedTuple):
 
 
 def followed(tables: Tables, around: Surroundings, slots: int, p: Array, d: Array, threads: int) -> Followed:
-    """Follow rays to their ends, as far as their ways are certain.
+    """Follow rays to their ends if their ways are certain.
 
     Parameters
     ----------
     tables : Tables
-        With the media at the rays' wavelength as the first.
+        With the media at the rays' wavelength first.
     around : Surroundings
     slots : int
-        Of the book.
+        Number of slots of the book.
     p, d : (n, 3) float64, contiguous
         Position, mm, and direction of any length, world frame.
     threads : int
@@ -161,16 +161,16 @@ def follow_given_rays(
     directions : (n, 3) float64
         Of any length.
     camera : Camera
-        With the media at the rays' wavelength as the first.
+        With the media at the rays' wavelength first.
     route : Route
         See `follower.image_route`.
     around : Surroundings
     bundle : (RAY_ROWS · BLOCK,) float64
         Working memory.
     ends : Ends
-        Filled; rows of rays whose fate is not `ENDED` keep what they hold.
+        Filled; rows of rays with a fate other than `ENDED` are not overwritten.
     book : (slots,) float64
-        The energy of the rays that are followed is entered here.
+        Receives the energy of the followed rays.
     counts : (COUNTERS,) int64
     """
     for first in range(0, len(origins), BLOCK):
@@ -192,7 +192,7 @@ def follow_given_rays(
 
 @kernel
 def _start(bundle: Array, origins: Array, directions: Array, count: int, to_camera: Array) -> None:
-    """Write the rays in the camera frame, with unit directions; those that are no rays are refused."""
+    """Write the rays in the camera frame with unit directions; refuse invalid rays."""
     for i in range(count):
         bundle[X + i], bundle[Y + i], bundle[Z + i] = origins[i, 0], origins[i, 1], origins[i, 2]
         bundle[DX + i], bundle[DY + i], bundle[DZ + i] = directions[i, 0], directions[i, 1], directions[i, 2]
@@ -210,7 +210,7 @@ def _start(bundle: Array, origins: Array, directions: Array, count: int, to_came
 
 @kernel
 def _judge(bundle: Array) -> None:
-    """Refuse what is no ray."""
+    """Refuse invalid rays."""
     for i in range(BLOCK):
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
@@ -222,7 +222,7 @@ def _judge(bundle: Array) -> None:
 
 @kernel
 def _find_ways(bundle: Array, count: int, camera: Camera, around: Surroundings) -> int:
-    """Find the way of each ray; return a set of bits, one for each way, the first for rays that are not followed."""
+    """Find the way of each ray; return the set of ways as bits, the first for unfollowed rays."""
     low, high = around.low, around.high
     _find_entries(bundle, around.before, around.farthest, (low[0], low[1], low[2]), (high[0], high[1], high[2]))
     for n in range(len(around.boxes)):
@@ -240,7 +240,7 @@ def _find_ways(bundle: Array, count: int, camera: Camera, around: Surroundings) 
 
 @kernel
 def _find_entries(bundle: Array, before: float, farthest: float, low: Corner, high: Corner) -> None:
-    """Find the rays that come from object space through the front of the box in which the lens is."""
+    """Find the rays from object space through the front of the lens's box."""
     for i in range(BLOCK):
         x, y, z, dz = bundle[_X + i], bundle[_Y + i], bundle[_Z + i], bundle[_DZ + i]
         t = (low[2] - z) / dz
@@ -253,7 +253,7 @@ def _find_entries(bundle: Array, before: float, farthest: float, low: Corner, hi
 
 @pasted
 def _crosses_box(ray: Ray, limit: float, low: Corner, high: Corner) -> bool:
-    """Return whether a ray may meet a box within a distance; along one of its planes, it may."""
+    """Return whether a ray may meet a box within a distance, or lies in one of its planes."""
     x, y, z, dx, dy, dz = ray
     ax, bx = (low[0] - x) / dx, (high[0] - x) / dx
     ay, by = (low[1] - y) / dy, (high[1] - y) / dy
@@ -266,13 +266,13 @@ def _crosses_box(ray: Ray, limit: float, low: Corner, high: Corner) -> bool:
     near = select(near_z > near, near_z, near)
     far = select(far_y < far, far_y, far)
     far = select(far_z < far, far_z, far)
-    # So put that a quotient 0/0 counts as a crossing.
+    # Written so that a quotient 0/0 counts as a crossing.
     return both(not near > far, both(not far < 0.0, not near > limit))
 
 
 @kernel
 def _stop_at_box(bundle: Array, low: Corner, high: Corner, to_z: float) -> None:
-    """Leave rays unsure that may meet a box on their way from object space to the lens, at z = `to_z`."""
+    """Mark rays as unsure if they may meet a box before the lens, at z = `to_z`."""
     for i in range(BLOCK):
         x, y, z = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
         dx, dy, dz = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
@@ -308,7 +308,7 @@ def _way_from_behind(bundle: Array, i: int, camera: Camera, around: Surroundings
 
 @inlined
 def _bulge(back: Any) -> float:
-    """Return the top of the layer of the other face's lenslets, mm; 0 of a flat face."""
+    """Return the top of the other face's lenslet layer, mm; 0 if flat."""
     if back is None:
         return 0.0
     return back.lenslets.top
@@ -316,7 +316,7 @@ def _bulge(back: Any) -> float:
 
 @kernel
 def _pass_over(bundle: Array, count: int, ends: Ends) -> None:
-    """Note the fate of rays that are not followed here."""
+    """Record the fate of rays that are not followed here."""
     for i in range(count):
         if bundle[_WAY + i] <= 1.0 * _UNSURE:
             ends.fate[i] = UNSURE if bundle[_WAY + i] == 1.0 * _UNSURE else REFUSED
@@ -324,7 +324,7 @@ def _pass_over(bundle: Array, count: int, ends: Ends) -> None:
 
 @kernel
 def _follow_way(bundle: Array, way: int, camera: Camera, route: Route, around: Surroundings, book: Array) -> None:
-    """Take the rays of a block that have one way to its end."""
+    """Take a block's rays of one way to its end."""
     frames = camera.frames
     _load_way(bundle, 1.0 * way)
     to_sensor = way <= _ON_SENSOR
@@ -350,7 +350,7 @@ def _follow_way(bundle: Array, way: int, camera: Camera, route: Route, around: S
 
 @kernel
 def _load_way(bundle: Array, way: float) -> None:
-    """Put the rays of one way at their starts, and count the others as ended."""
+    """Put the rays of one way at their starts; mark the others as ended."""
     for i in range(6 * BLOCK):
         bundle[X + i] = bundle[_X + i]
     for i in range(BLOCK):
@@ -360,7 +360,7 @@ def _load_way(bundle: Array, way: float) -> None:
 
 @kernel
 def _end_on_sensor(bundle: Array, pixel: float, columns: float, rows: float) -> None:
-    """End the rays (sensor frame) that are still on their way in the plane of the sensor."""
+    """End the remaining rays (sensor frame) in the sensor's plane."""
     for i in range(BLOCK):
         ended = bundle[ENDED_ON + i]
         x, y, z, dz = bundle[X + i], bundle[Y + i], bundle[Z + i], bundle[DZ + i]
@@ -378,7 +378,7 @@ def _end_on_sensor(bundle: Array, pixel: float, columns: float, rows: float) -> 
 
 @kernel
 def _doubt_at_box(bundle: Array, low: Corner, high: Corner) -> None:
-    """Count rays as unsure that may meet a box in object space, like those that pass beside the lens."""
+    """Mark rays as unsure, by `BESIDE`, if they may meet a box in object space."""
     for i in range(BLOCK):
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
@@ -389,7 +389,7 @@ def _doubt_at_box(bundle: Array, low: Corner, high: Corner) -> None:
 
 @kernel
 def _escape(bundle: Array, plate: float, opening: float) -> None:
-    """End the rays that leave the lens and the opening of the housing into object space."""
+    """End the rays that leave through the lens and the housing's opening."""
     for i in range(BLOCK):
         t = (plate - bundle[Z + i]) / bundle[DZ + i]
         t = select(t > 0.0, t, 0.0)
@@ -403,7 +403,7 @@ def _escape(bundle: Array, plate: float, opening: float) -> None:
 def _keep(
     bundle: Array, count: int, way: int, reflectance: float, ends: Ends, book: Array, counts: NDArray[np.int64]
 ) -> None:
-    """Write the ends of the rays of one way, and enter their energy in the book."""
+    """Write the ends of one way's rays, and book their energy."""
     emitted, events, sensor, left_behind = 0, 0, 0.0, 0.0
     for i in range(count):
         if bundle[_WAY + i] != 1.0 * way:

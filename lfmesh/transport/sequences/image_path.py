@@ -1,7 +1,7 @@
-"""The image path of packets: those that wait for lens or array are followed to the sensor or to object space in blocks.
+"""Image path of packets, in blocks: from lens or array to the sensor or to object space.
 
-Targets are still found by Embree. Reflected light, and light that total reflection or a neighbouring lenslet turns off
-the path, is not followed; its power is booked.
+Targets are still found by Embree. Light that leaves the image path, by reflection, total reflection or a neighbouring
+lenslet, is not followed; its power is booked.
 """
 
 from typing import Any
@@ -61,7 +61,7 @@ def follow_image_path(
     wave: NDArray[np.void], station: int, camera: Camera, route: Route, bundle: Array, numbers: NDArray[np.int64],
     options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Take a wave of packets that wait for the lens or the array to object space or to the sensor.
+    """Take a wave of packets that wait for lens or array to object space or the sensor.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def follow_image_path(
             if (packet.dz > 0.0) != to_sensor:
                 continue
             if station == LENS and packet.space == 0 and not to_sensor:
-                # It comes from object space and flies away from the lens, back into object space.
+                # The packet comes from object space and moves away from the lens, back into object space.
                 _pass_beside(flow, packet, packet.weight)
                 continue
             load(
@@ -109,17 +109,17 @@ def follow_block(
     wave: NDArray[np.void], station: int, to_sensor: bool, count: int, camera: Camera, route: Route, bundle: Array,
     numbers: NDArray[np.int64], options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Take a bundle of rays (camera frame) of one direction of travel along the image path, and queue its packets.
+    """Take rays (camera frame) of one direction along the image path, and queue their packets.
 
     Parameters
     ----------
     wave : (n,) PACKET
-        The packets before the passage.
+        Packets before the passage.
     station : int
         As for `follow_image_path`, like `camera` and `route`.
     to_sensor : bool
     count : int
-        Rays in the bundle.
+        Number of rays in the bundle.
     bundle : (ROWS · BLOCK,) float64
     numbers : (BLOCK,) int64
         Index in the wave of each ray's packet.
@@ -145,10 +145,10 @@ def _hand_on(
     wave: NDArray[np.void], to_sensor: bool, count: int, frames: Array, bundle: Array, numbers: NDArray[np.int64],
     options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Queue the packets that came through at their next station, and end the others."""
+    """Queue the packets that came through; end the others."""
     station, frame = SENSOR, CAMERA_FRAME
     if not to_sensor:
-        # Moved together, which is faster than one by one at the station.
+        # Moving all together is faster than one by one at the station.
         station, frame = OBJECTS, OBJECT_FRAME
         move_bundle(bundle, frames[CAMERA_FRAME, OBJECT_FRAME])
     left_behind, events = 0.0, 0
@@ -176,15 +176,15 @@ def _hand_on(
 
 @inlined
 def _way_to_box(lens: LensTables, packet: Any) -> float:
-    """Return the distance at which a packet from object space enters the box of the lens; nothing is in its way."""
+    """Return the distance to the lens's box of a packet from object space with a free path."""
     t = box_entry(lens.box_low, lens.box_high, ray_of(packet))
-    # By rounding, a ray along the border may miss the box that it was found to enter.
+    # Through rounding, a ray along the border may miss the box that it was found to enter.
     return t if t < np.inf else 0.0
 
 
 @inlined
 def _pass_beside(flow: Flow, packet: Any, weight: float) -> None:
-    """Queue a packet from object space (camera frame) that met nothing of the lens for object space."""
+    """Queue a packet (camera frame) that missed the lens for object space."""
     x, y, z = at_box(packet)
     child = put(
         flow, OBJECTS, packet, CAMERA_FRAME, x, y, z, packet.dx, packet.dy, packet.dz, weight, packet.key, 0.0

@@ -1,4 +1,4 @@
-"""Changes of direction by diffraction in bundles of rays: drawn when a ray gets there, or before."""
+"""Deflections by diffraction in bundles, drawn at the aperture or in advance."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @inlined
 def give_keys(apertures: Any, wave: NDArray[np.void], count: int, bundle: Array, numbers: NDArray[np.int64]) -> None:
-    """Enter each ray's key and events so far, where there is diffraction, which needs random numbers.
+    """Set each ray's key and event count, for random numbers of diffraction.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def give_keys(apertures: Any, wave: NDArray[np.void], count: int, bundle: Array,
 
 @inlined
 def draw_kick(apertures: Any, pixels: PixelSamples, packet: Any, bundle: Array, i: int) -> None:
-    """Draw the change of direction that a packet from a pixel will come to by its starting numbers.
+    """Draw in advance the later deflection of a packet from a pixel, by its starting numbers.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def draw_kick(apertures: Any, pixels: PixelSamples, packet: Any, bundle: Array, 
 
 @inlined
 def kick_of_ray(apertures: Apertures, bundle: Array, i: int, colour: int) -> tuple[float, float]:
-    """Return the change of direction of a ray that comes to an aperture.
+    """Return the deflection of a ray at an aperture.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def kick_of_ray(apertures: Apertures, bundle: Array, i: int, colour: int) -> tup
     i : int
         Place in the block.
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     """
     events = bundle[EVENTS_BEFORE + i] + bundle[MET + i]
     if bundle[KICK_AT + i] == events:
@@ -77,16 +77,16 @@ def kick_of_ray(apertures: Apertures, bundle: Array, i: int, colour: int) -> tup
 
 @inlined
 def diffract(apertures: Any, row: int, bundle: Array, colour: int, sense: float) -> None:
-    """Change the directions of rays in air at the lenslets that they have met, where there is diffraction.
+    """Deflect rays in air at the lenslets just met, if these diffract.
 
     Parameters
     ----------
     apertures : Apertures or None
     row : int
-        Of the face among the array's interfaces.
+        Row of the face among the array's interfaces.
     bundle : (ROWS · BLOCK,) float64
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     sense : float
         1: the rays run along the normals in the bundle; −1: against them.
     """
@@ -103,7 +103,7 @@ def diffract(apertures: Any, row: int, bundle: Array, colour: int, sense: float)
         )  # fmt: skip
         bundle[rows.DX + i], bundle[rows.DY + i], bundle[rows.DZ + i] = dx, dy, dz
         if not goes_on:
-            # The ray ends on the face, where it is going to or has come to.
+            # The ray ends on the face, whether it is still to arrive or has arrived.
             for row_of, at in ((rows.X, rows.AT_X), (rows.Y, rows.AT_Y), (rows.Z, rows.AT_Z)):
                 bundle[row_of + i] = bundle[at + i]
             bundle[rows.ENDED_ON + i] = EVANESCENT + 1.0

@@ -1,7 +1,7 @@
-"""The surfaces of the lens as blocks of rays meet them: one function for each shape.
+"""Intersections of blocks of rays with lens surfaces, one function per shape.
 
-A new shape is a branch of `meet_surface`, which leaves for each ray of a bundle the distance, the point and the normal.
-Bare spheres, of which most lenses consist, are met and refracted in one.
+A new shape is a branch of `meet_surface`, which finds distance, point and normal for each ray of a bundle. Bare
+spheres, the most common surfaces, are intersected and refracted in one step.
 """
 
 from typing import Any
@@ -43,18 +43,18 @@ from lfmesh.transport.tables.tables import BARE, LensTables
 
 Array = NDArray[np.float64]
 
-# Working rows: radius², sag and half slope of an asphere's terms, and whether Newton's method has settled.
+# Working rows: radius², sag and half slope of an asphere's terms, and 1 once Newton's method has settled.
 _R2, _SAG, _SLOPE, _SETTLED = SCRATCH, SCRATCH + BLOCK, SCRATCH + 2 * BLOCK, SCRATCH + 3 * BLOCK
 
 NEAR = 1e-9
-"""Distance, over the size of the coordinates, at which a ray still is on the surface that it leaves."""
+"""Distance, relative to the coordinates, up to which a ray still is on the surface that it leaves."""
 
 TOUCHING = 1e-13
-"""Distance, over the size of the lens, by which a ray may start beyond the surface that it meets: where surfaces touch,
-rounding decides on which side of the next one a ray leaves the last one."""
+"""Distance, relative to the size of the lens, by which a ray may start beyond the surface that it meets: if surfaces
+touch, rounding decides on which side of the next surface a ray leaves the last one."""
 
 Fates = tuple[float, float, float]
-"""Radius of the mount round the clear aperture, mm; fates of rays between aperture and mount, and beyond the mount."""
+"""Radius of the mount around the clear aperture, mm; fates of rays between aperture and mount, and beyond the mount."""
 
 
 @kernel
@@ -70,18 +70,18 @@ def at_surface(
         Camera frame.
     lens : LensTables
     k : int
-        Number of the surface.
+        Surface number.
     mirrors : bool
-        The rays are reflected; else refracted.
+        Reflect the rays; else refract them.
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     sense : float
         1 for rays that arrive along the surface's normal, which points to +z at the vertex; −1 against it.
     fates : Fates
     checked : bool
-        Drop rays that meet the last surface again before (see `find_return`), or a sphere beyond its equator.
+        Drop rays that first meet the last surface again (see `find_return`), or a sphere beyond its equator.
     book : (slots,) float64
-        For light that glass and coating absorb.
+        Receives light absorbed by glass and coating.
     """
     surface, into = lens.surfaces[k], 1 if sense > 0.0 else 0
     if surface.posed:
@@ -111,7 +111,7 @@ def _is_clear(absorption: Any) -> bool:
 
 @kernel
 def meet_surface(bundle: Array, surface: Any, sense: float) -> None:
-    """Find where rays cross a surface, as it stands in the prescription: distance, point and normal along the ray.
+    """Intersect rays with an unposed surface: distance, point, and normal along the ray.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def meet_surface(bundle: Array, surface: Any, sense: float) -> None:
 
 @kernel
 def _set_fates(bundle: Array, limit: float, fates: Fates, nearest: float) -> None:
-    """Enter what ends rays: the mount, or what is beyond it, where they miss the surface; these stay where they are."""
+    """Set the fates at or beyond the mount; rays that miss the surface stay in place."""
     rim, mount, beyond = fates
     for i in range(BLOCK):
         x, y, z = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
@@ -151,7 +151,7 @@ def _check(bundle: Array, c: float, vertex_z: float) -> None:
 
 @kernel
 def find_return(bundle: Array, lens: LensTables, k: int, sense: float) -> None:
-    """Find at which distance rays meet the surface again that they leave, within its rim, for `at_surface`.
+    """Find the distance to a second hit, within the rim, on the surface just left.
 
     Parameters
     ----------
@@ -159,9 +159,9 @@ def find_return(bundle: Array, lens: LensTables, k: int, sense: float) -> None:
         Camera frame.
     lens : LensTables
     k : int
-        Number of the surface; −1: they come from none.
+        Number of the surface; −1: none.
     sense : float
-        In which they would cross it.
+        Sense of the crossing.
     """
     for i in range(BLOCK):
         bundle[AGAIN + i] = np.inf
@@ -185,9 +185,9 @@ def find_return(bundle: Array, lens: LensTables, k: int, sense: float) -> None:
 
 @pasted
 def conic_distance(c: float, q: float, ray: Ray, sense: float) -> tuple[bool, float]:
-    """Return whether a ray meets a conic, and the distance, as `surface.conic_distance`, without branches.
+    """Return whether a ray meets a conic, and the distance, as `surface.conic_distance` without branches.
 
-    The distance is meaningless where the ray misses.
+    The distance is meaningless if the ray misses.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def conic_distance(c: float, q: float, ray: Ray, sense: float) -> tuple[bool, fl
     b = c * (x * dx + y * dy + q * z * dz) - dz
     g = c * (x * x + y * y + q * z * z) - 2.0 * z
     root = b * b - a * g
-    # Of a t² + 2 b t + g = 0, in the form without cancellation.
+    # Root of a t² + 2 b t + g = 0, in the form without cancellation.
     signed = sense * np.sqrt(root)
     far = signed * b > 0.0
     return root >= 0.0, select(far, -b - signed, g) / select(far, a, signed - b)
@@ -213,14 +213,14 @@ def conic_distance(c: float, q: float, ray: Ray, sense: float) -> tuple[bool, fl
 
 @pasted
 def conic_normal(c: float, q: float, x: float, y: float, z: float, sense: float) -> tuple[float, float, float]:
-    """Return the unit normal of a conic at a point, towards +z at the vertex if `sense` is 1, else against it.
+    """Return the unit normal of a conic, towards +z at the vertex if `sense` is 1, else against it.
 
     Parameters
     ----------
     c, q, sense : float
         As for `conic_distance`.
     x, y, z : float, mm
-        From the vertex.
+        Relative to the vertex.
     """
     nx, ny, nz = -c * x, -c * y, 1.0 - c * q * z
     scale = sense / np.sqrt(nx * nx + ny * ny + nz * nz)
@@ -229,14 +229,14 @@ def conic_normal(c: float, q: float, x: float, y: float, z: float, sense: float)
 
 @pasted
 def sphere_crossing(along: float, ray: Ray, sense: float) -> tuple[float, float, float, float]:
-    """Return the squared cosine of incidence at a sphere, the cosine, and two numbers whose ratio is the distance.
+    """Return the squared cosine of incidence at a sphere, the cosine, and the distance's numerator and denominator.
 
     Parameters
     ----------
     along : float
         Curvature times sense, so that both senses share the formulas of a ray along +z.
     ray : Ray
-        From the vertex.
+        Relative to the vertex.
     sense : float
         As for `conic_distance`.
     """
@@ -245,7 +245,7 @@ def sphere_crossing(along: float, ray: Ray, sense: float) -> tuple[float, float,
     g = fused(along, fused(x, x, fused(y, y, z * z)), -2.0 * sense * z)
     root = fused(b, b, -along * g)
     cos_i = np.sqrt(root)
-    # The form of the root without cancellation.
+    # Form of the root without cancellation.
     far = b > 0.0
     return root, cos_i, select(far, -(b + cos_i), g), select(far, along, cos_i - b)
 
@@ -254,7 +254,7 @@ def sphere_crossing(along: float, ray: Ray, sense: float) -> tuple[float, float,
 def _through_sphere(
     bundle: Array, surface: Any, sense: float, indices: tuple[float, float], fates: Fates, nearest: float, checked: bool
 ) -> None:
-    """Take a bundle through a bare sphere: the crossing and Snell's law in one, with one division for both."""
+    """Take a bundle through a bare sphere, with one division for intersection and refraction."""
     n_i, n_t = indices
     rim, mount, beyond = fates
     c, vertex_z, limit = surface.curvature, surface.vertex_z, surface.semi_diameter * surface.semi_diameter
@@ -285,7 +285,7 @@ def _through_sphere(
 
 @kernel
 def _meet_conic(bundle: Array, c: float, k: float, vertex_z: float, sense: float) -> None:
-    """Find the crossings with a conic; the distance is −1 where a ray misses it or meets its other sheet."""
+    """Find the intersections with a conic; distance −1 if missed or on its other sheet."""
     q = 1.0 + k
     for i in range(BLOCK):
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
@@ -299,9 +299,9 @@ def _meet_conic(bundle: Array, c: float, k: float, vertex_z: float, sense: float
 
 @kernel
 def _meet_asphere(bundle: Array, surface: Any, sense: float) -> None:
-    """Improve the distances to those of an asphere by Newton's method, all rays at once while any moves.
+    """Refine the distances to an asphere by Newton's method, for all rays while any moves.
 
-    Where that does not settle, or no conic was there to start from, the bracketed search for one ray decides.
+    If that does not settle, or there was no conic to start from, a bracketed search decides for each ray.
     """
     moving = BLOCK
     for _ in range(NEWTON_STEPS):
@@ -320,7 +320,7 @@ def _meet_asphere(bundle: Array, surface: Any, sense: float) -> None:
 
 @kernel
 def _meet_by_form(bundle: Array, surface: Any, sense: float) -> None:
-    """Find the crossings with a surface that is none of revolution, or has odd terms, ray by ray."""
+    """Intersect rays one by one with a surface of odd terms or without rotational symmetry."""
     for i in range(BLOCK):
         bundle[T + i] = -1.0
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
@@ -338,14 +338,14 @@ def _meet_by_form(bundle: Array, surface: Any, sense: float) -> None:
 
 @kernel
 def _search(bundle: Array, i: int, surface: Any, sense: float) -> tuple[bool, float]:
-    """Return whether and where a ray crosses a surface, wherever that is.
+    """Return whether a ray crosses a surface anywhere, and the distance.
 
-    Inside the mesh's reach by steps that miss no crossing, beyond it by the search in a bracket from where the ray
-    crosses the plane of the vertex.
+    Within the reach of the mesh it steps without missing a crossing. Beyond, a bracketed search starts from the ray's
+    intersection with the vertex plane.
     """
     dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
     at = -(bundle[Z + i] - surface.vertex_z) / dz
-    # Counted from there, as fewer digits are lost than from a start that is far away.
+    # Measured from there, as a far start loses digits.
     x, y = bundle[X + i] + at * dx, bundle[Y + i] + at * dy
     meets, t = first_crossing(surface, Ray(x, y, 0.0, dx, dy, dz), sense, -at, np.inf, False)
     if not meets:
@@ -355,7 +355,7 @@ def _search(bundle: Array, i: int, surface: Any, sense: float) -> tuple[bool, fl
 
 @kernel
 def _add_terms(bundle: Array, terms: int, asphere: Array) -> None:
-    """Find r², and the sag and the half slope dz/d(r²) of an asphere's terms at the distances of rays, by Horner."""
+    """Find r², and sag and half slope dz/d(r²) of an asphere's terms, by Horner's scheme."""
     for i in range(BLOCK):
         t = bundle[T + i]
         x, y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
@@ -375,7 +375,7 @@ def _add_term(bundle: Array, sag: float, slope: float) -> None:
 
 @kernel
 def _newton_step(bundle: Array, c: float, k: float, vertex_z: float) -> int:
-    """Take one step towards the asphere; return how many rays are still moving."""
+    """Take one step towards the asphere; return the number of moving rays."""
     q = (1.0 + k) * c * c
     moving = 0
     for i in range(BLOCK):
@@ -396,7 +396,7 @@ def _newton_step(bundle: Array, c: float, k: float, vertex_z: float) -> int:
 
 @kernel
 def _set_points(bundle: Array, c: float, k: float, sense: float) -> None:
-    """Enter points and normals on an asphere at the distances that have been found."""
+    """Set points and normals on an asphere at the distances."""
     q = (1.0 + k) * c * c
     for i in range(BLOCK):
         t, r2 = bundle[T + i], bundle[_R2 + i]

@@ -1,8 +1,8 @@
-"""The two faces of the microlens array as blocks of rays meet them, and the way out of the layer of lenslets.
+"""Intersections of ray blocks with both faces of the microlens array, and the way out of the lenslet layer.
 
-Most rays meet a single lenslet of a face, and are found together. The others, close to the border of a cell or of the
-array, and all where lenslets are no spheres, walk from cell to cell one by one. All in the frame of the face, whose z
-runs into the glass, see `regions.mla`.
+Most rays meet a single lenslet of a face and are treated together. Rays close to the border of a cell or of the array,
+and all rays at non-spherical lenslets, walk from cell to cell one by one. All coordinates are in the frame of the face,
+with z into the glass, see `regions.mla`.
 """
 
 from typing import Any
@@ -66,33 +66,33 @@ from lfmesh.transport.tables.tables import AIR, FLAT_ROW, MlaTables
 Array = NDArray[np.float64]
 
 MEETS_FACE, LEAVES_LAYER = -1, -2
-"""Fates of a ray in the layer of curved faces, if it does not end there."""
+"""Fates of a ray that does not end in the layer of curved faces."""
 
-# Working rows: the lenslet's cell, the centre of that, its apex and curvature; whether the ray meets nothing else.
+# Working rows: the lenslet's cell, its centre, apex and curvature; 1 if the ray certainly meets nothing else.
 _COLUMN, _ROW, _CENTRE_X, _CENTRE_Y = SCRATCH, SCRATCH + BLOCK, SCRATCH + 2 * BLOCK, SCRATCH + 3 * BLOCK
 _APEX_X, _APEX_Y, _CURVATURE = SCRATCH + 4 * BLOCK, SCRATCH + 5 * BLOCK, SCRATCH + 6 * BLOCK
 _CERTAIN = SCRATCH + 7 * BLOCK
-# In place of the apex, where the ray leaves the layer of faces.
+# In place of the apex: exit point from the layer of faces.
 _OUT_X, _OUT_Y = _APEX_X, _APEX_Y
 
 
 @kernel
 def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colour: int, book: Array) -> None:
-    """Take a bundle through the lenslets of a face, in its frame, or reflect it there, and out of their layer.
+    """Take a bundle (frame of the face) through or off the lenslets of a face, and out of their layer.
 
     Parameters
     ----------
     bundle : (ROWS · BLOCK,) float64
     mla : MlaTables
-        Of the face.
+        Tables of the face.
     inward : bool
         The rays come from the air.
     mirrors : bool
-        They are reflected; else refracted.
+        Reflect the rays; else refract them.
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     book : (slots,) float64
-        For light that glass and coating absorb.
+        Receives light absorbed by glass and coating.
     """
     media = mla.media
     if is_spherical(mla.lenslets.profile):
@@ -124,7 +124,7 @@ def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colo
 
 @inlined
 def _end_on_mask(bundle: Array, lenslets: Lenslets) -> None:
-    """End rays that meet a lenslet outside its clear aperture, if that is smaller than its cell."""
+    """End rays that meet a lenslet outside its clear aperture, if smaller than the cell."""
     clear_radius = lenslets.clear_radius
     if clear_radius == np.inf:
         return
@@ -138,7 +138,7 @@ def _end_on_mask(bundle: Array, lenslets: Lenslets) -> None:
 
 @inlined
 def _indices(mla: MlaTables, entering: bool, colour: int) -> tuple[float, float]:
-    """Return the refractive indices before and after a face of the array, for rays from the air if `entering`."""
+    """Return the indices before and after a face of the array, from the air if `entering`."""
     glass = mla.media.indices[mla.medium, colour]
     return (1.0, glass) if entering else (glass, 1.0)
 
@@ -147,12 +147,12 @@ def _indices(mla: MlaTables, entering: bool, colour: int) -> tuple[float, float]
 def at_other_face(
     back: Any, bundle: Array, mla: MlaTables, entering: bool, mirrors: bool, colour: int, frames: Array, book: Array
 ) -> None:
-    """Take a bundle through the flat face, or the lenslets that stand in its place, or reflect it there.
+    """Take a bundle through or off the flat face, or the lenslets in its place.
 
     Parameters
     ----------
     back : MlaTables or None
-        That of `mla`.
+        Back face of `mla`.
     bundle, mla, mirrors, colour, book
         As for `at_lenslets`.
     entering : bool
@@ -179,9 +179,9 @@ def _at_flat_face(bundle: Array, mla: MlaTables, entering: bool, mirrors: bool, 
 
 @inlined
 def _safe_extent(lattice: Lattice) -> tuple[float, float]:
-    """Return half width and half height of the cells that are not outermost, mm.
+    """Return half width and half height of the array's inner cells, mm.
 
-    Between two points within them, a straight line stays over the array.
+    A straight line between two points within stays over the array.
     """
     across, rows = (ROW_SPACING, 1.0) if lattice.hexagonal else (1.0, 0.5)
     return (0.5 * lattice.columns - 1.0) * lattice.pitch, (0.5 * lattice.rows - rows) * across * lattice.pitch
@@ -202,7 +202,7 @@ def _meet_flat_face(bundle: Array, lenslets: Any, entering: bool) -> None:
 
 @pasted
 def _is_safe(bundle: Array, i: int, safe_x: float, safe_y: float, from_air: bool) -> bool:
-    """Tell whether a ray meets a face off the outermost cells, and within the glass comes from there."""
+    """Tell whether a ray meets a face at the inner cells and, within the glass, starts there too."""
     there = both(abs(bundle[AT_X + i]) <= safe_x, abs(bundle[AT_Y + i]) <= safe_y)
     here = select(from_air, 0.0, select(both(abs(bundle[X + i]) <= safe_x, abs(bundle[Y + i]) <= safe_y), 0.0, 1.0))
     return both(there, here == 0.0)
@@ -210,7 +210,7 @@ def _is_safe(bundle: Array, i: int, safe_x: float, safe_y: float, from_air: bool
 
 @kernel
 def _meet_flat_face_singly(bundle: Array, i: int, lenslets: Any, entering: bool) -> None:
-    """Find where one ray meets the flat face, or that it ends before, or beside it."""
+    """Find one ray's intersection with the flat face, or its end before or beside it."""
     x, y, dz = bundle[X + i], bundle[Y + i], bundle[DZ + i]
     t = (lenslets.thickness - bundle[Z + i]) / dz
     if not t > 0.0 or (dz < 0.0) != entering:
@@ -228,7 +228,7 @@ def _meet_flat_face_singly(bundle: Array, i: int, lenslets: Any, entering: bool)
 
 @kernel
 def _meet_single_lenslets(bundle: Array, mla: MlaTables, inward: bool) -> None:
-    """Find where rays meet the sphere of the cell in which they enter the layer of faces; `_CERTAIN` if within it."""
+    """Intersect rays with the sphere of the cell where they enter the layer; `_CERTAIN` if in that cell."""
     lenslets = mla.lenslets
     lattice = lenslets.lattice
     safe_x, safe_y = _safe_extent(lattice)
@@ -251,7 +251,7 @@ def _meet_single_lenslets(bundle: Array, mla: MlaTables, inward: bool) -> None:
 
 @kernel
 def _find_square_cells(bundle: Array, border: float, pitch: float, columns: int, rows: int) -> None:
-    """Find the cell in which each ray enters the layer of faces, at z = `border`."""
+    """Find the cell where each ray enters the layer, at z = `border`."""
     over = 1.0 / pitch
     for i in range(BLOCK):
         t = (border - bundle[Z + i]) / bundle[DZ + i]
@@ -272,7 +272,7 @@ def _enter_cell(bundle: Array, i: int, column: float, row: float, columns: int, 
 
 @pasted
 def _nearest_in_row(u: float, v: float, row: float, columns: int, rows: int) -> tuple[float, float, float, float]:
-    """Return the column of a row's centre that is nearest to a point, that centre, and its squared distance."""
+    """Return the column of a row's nearest centre, that centre, and its squared distance."""
     shift = row - 2.0 * np.floor(0.5 * row)
     shift = 0.5 * shift - (0.25 if rows > 1 else 0.0)
     column = np.floor(u - shift + 0.5 * columns)
@@ -287,7 +287,7 @@ def _find_hexagonal_cells(bundle: Array, border: float, pitch: float, columns: i
         t = (border - bundle[Z + i]) / bundle[DZ + i]
         t = select(t > 0.0, t, 0.0)
         u, v = (bundle[X + i] + t * bundle[DX + i]) * over, (bundle[Y + i] + t * bundle[DY + i]) * over
-        # The nearest centre is in the row of centres below the point or in the row above it.
+        # The nearest centre is in the row below the point or the row above it.
         low = np.floor(v / ROW_SPACING + 0.5 * (rows - 1))
         column, x, y, square = _nearest_in_row(u, v, low, columns, rows)
         other, other_x, other_y, other_square = _nearest_in_row(u, v, low + 1.0, columns, rows)
@@ -306,13 +306,13 @@ def _fill_shapes(bundle: Array, curvature: float) -> None:
 
 @kernel
 def _meet_spheres(bundle: Array, sense: float, safe_x: float, safe_y: float) -> None:
-    """Find where rays meet their lenslets' spheres on the half of the apex; certain only off the outermost cells."""
+    """Intersect rays with the apex half of their lenslets' spheres; certain only at the inner cells."""
     from_air = sense > 0.0
     for i in range(BLOCK):
         c = bundle[_CURVATURE + i]
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        # Counted from the plane of the apex, as digits would be lost when a ray comes from far to a small lenslet.
+        # Measured from the plane of the apex, as a ray from far to a small lenslet would lose digits.
         at = -z / dz
         ax, ay = x + at * dx - bundle[_APEX_X + i], y + at * dy - bundle[_APEX_Y + i]
         root, cos_i, above, below = sphere_crossing(c * sense, Ray(ax, ay, 0.0, dx, dy, dz), sense)
@@ -328,7 +328,7 @@ def _meet_spheres(bundle: Array, sense: float, safe_x: float, safe_y: float) -> 
 
 @kernel
 def _keep_in_cells(bundle: Array, row: int, hexagonal: bool, half: float) -> None:
-    """Let rays be certain no longer whose point in a row, and the next, lies outside their cell."""
+    """Clear the certainty of rays with a point, in `row` and the next, outside their cell."""
     if hexagonal:
         for i in range(BLOCK):
             x, y = bundle[row + i] - bundle[_CENTRE_X + i], bundle[row + BLOCK + i] - bundle[_CENTRE_Y + i]
@@ -341,7 +341,7 @@ def _keep_in_cells(bundle: Array, row: int, hexagonal: bool, half: float) -> Non
 
 @kernel
 def _find_ways_out(bundle: Array, lenslets: Any, into_glass: bool) -> None:
-    """Leave those rays certain that leave the layer of faces within their cell, in the direction that they should."""
+    """Keep certain only rays that leave the layer within their cell, in the right direction."""
     out, sense = (lenslets.valley, 1.0) if into_glass else (lenslets.top, -1.0)
     for i in range(BLOCK):
         t = (out - bundle[Z + i]) / bundle[DZ + i]
@@ -353,7 +353,7 @@ def _find_ways_out(bundle: Array, lenslets: Any, into_glass: bool) -> None:
 
 @kernel
 def _meet_singly(bundle: Array, i: int, mla: MlaTables, inward: bool) -> None:
-    """Find which lenslet one ray meets, and where, or that it ends before or passes through the layer of faces."""
+    """Find one ray's lenslet and intersection, or its end before, or passage through, the layer."""
     lenslets = mla.lenslets
     lattice = lenslets.lattice
     x, y, z, dz = bundle[X + i], bundle[Y + i], bundle[Z + i], bundle[DZ + i]
@@ -381,9 +381,9 @@ def _meet_singly(bundle: Array, i: int, mla: MlaTables, inward: bool) -> None:
 
 @kernel
 def _leave_singly(bundle: Array, i: int, mla: MlaTables, into_glass: bool, in_air: bool) -> None:
-    """Find whether one ray leaves the layer of faces, from a face in a cell, or what it ends on before.
+    """Find one ray's exit from the layer of faces, or the wall that ends it before.
 
-    A ray that turns round, or meets another face, is dropped.
+    A ray that turns back or meets another face is dropped.
     """
     if (bundle[DZ + i] > 0.0) != into_glass:
         drop(bundle, i)
@@ -400,14 +400,14 @@ def _leave_singly(bundle: Array, i: int, mla: MlaTables, into_glass: bool, in_ai
 def _next_in_layer(
     bundle: Array, i: int, mla: MlaTables, in_air: bool, column: int, row: int, start: float
 ) -> tuple[int, float, int, int]:
-    """Walk a ray through the layer of faces; return its fate (or the slot that it ends on), the distance and the cell.
+    """Walk a ray through the layer; return its fate (or book slot), the distance and the cell.
 
     Parameters
     ----------
     in_air : bool
         The ray is before the curved face; else in the glass.
     column, row : int
-        Cell in which the walk starts.
+        Cell where the walk starts.
     start : float, mm
         Distance at which the ray is in that cell.
     """
@@ -417,7 +417,7 @@ def _next_in_layer(
     dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
     out = ((lenslets.valley if dz > 0.0 else lenslets.top) - z) / dz
     t = start
-    # Each step goes on in the ray's direction: the walk ends at the array's edge at the latest.
+    # Each step follows the ray's direction, so the walk ends at the array's edge at the latest.
     while True:
         cx, cy = centre(lattice, column, row)
         curvature, ex, ey = shape_of(lenslets, column, row)

@@ -1,7 +1,7 @@
-"""The plane faces behind the lens as blocks of rays meet them: the sensor's cover, and the sensor as a mirror.
+"""Plane faces behind the lens for ray blocks: the sensor's cover, and the sensor as a mirror.
 
-Faces are counted from the lens to the sensor: the front and the rear face of the cover, if there is one, then the
-sensor. Between the cover's faces is its glass; everywhere else is air.
+Faces are counted from the lens to the sensor: the front and rear face of the cover, if there is one, then the sensor.
+The medium is the cover's glass between its faces, and air elsewhere.
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ from lfmesh.transport.tables.tables import AIR, SensorTables
 Array = NDArray[np.float64]
 
 SENSOR_BEHIND_COVER = 2
-"""Number of the sensor among the faces where there is a cover; without one it is the only face."""
+"""Number of the sensor among the faces if there is a cover; without one it is the only face."""
 
 
 @inlined
@@ -37,13 +37,13 @@ def at_plane(
     sensor : SensorTables
     face : int
     to_sensor : bool
-        Direction of travel; the others are dropped.
+        Direction of travel; other rays are dropped.
     mirrors : bool
-        The rays are reflected; else refracted.
+        Reflect the rays; else refract them.
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     book : (slots,) float64
-        For light that glass and coating absorb.
+        Receives light absorbed by glass and coating.
     """
     if cover is not None and face != SENSOR_BEHIND_COVER:
         _at_cover(bundle, cover, face, to_sensor, mirrors, colour, book)
@@ -75,7 +75,7 @@ def _meet_plane(bundle: Array, z: float, sense: float) -> None:
 
 @kernel
 def _mirror_at_sensor(bundle: Array, sensor: SensorTables) -> None:
-    """Reflect rays (sensor frame) at the pixels; beside them they end."""
+    """Reflect rays (sensor frame) at the pixels; end them beside the sensor."""
     half_x, half_y = 0.5 * sensor.pixel * sensor.columns, 0.5 * sensor.pixel * sensor.rows
     for i in range(BLOCK):
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]

@@ -1,4 +1,4 @@
-"""Tables of rays along one sequence of faces, exactly: what analyses and drawings ask of a camera, without packets."""
+"""Exact ray tables along one sequence of faces, for analyses and drawings, without packets."""
 
 from typing import NamedTuple
 
@@ -27,16 +27,16 @@ Array = NDArray[np.float64]
 class Arrived(NamedTuple):
     """Rays behind the last face of a sequence, camera frame."""
 
-    position: Array  # (n, 3) mm, on that face; of a ray that does not pass, where it left the sequence
+    position: Array  # (n, 3) mm, on that face; for a ray that does not pass, the point where it left the sequence
     direction: Array  # (n, 3) unit
-    weight: Array  # (n,) what is left of the power; 0: the ray does not pass
-    way: Array  # (n,) numbers that tell apart where, and on what, rays leave the sequence; the same for all that pass
-    met: NDArray[np.int64]  # (n,) faces of the sequence that rays have met within their apertures
-    ended: Array  # (n,) what ended them, see `bundle.ENDED_ON`; 0: nothing did
+    weight: Array  # (n,) remaining power; 0: the ray does not pass
+    way: Array  # (n,) code of the place and cause of a ray's exit from the sequence; the same for all that pass
+    met: NDArray[np.int64]  # (n,) number of faces met within their apertures
+    ended: Array  # (n,) cause of the end, see `bundle.ENDED_ON`; 0: none
 
 
 def faces_of(tables: Tables) -> Faces:
-    """Return how many faces the parts of a camera have."""
+    """Return the number of faces of each part of a camera."""
     reflects = tables.sensor.reflectance > 0.0
     planes = (2 if tables.cover is not None else 0) + int(reflects)
     return Faces(len(tables.lens.surfaces), 2 * int(tables.mla.present), planes, reflects)
@@ -47,8 +47,8 @@ def follow_sequence(
 ) -> Arrived:
     """Follow rays along a sequence of faces of a camera.
 
-    A ray leaves the sequence where it misses the next face or meets another one before it; then it passes with weight
-    0, as do rays that an aperture or the stop takes.
+    A ray leaves the sequence if it misses the next face or first meets another. It then passes with weight 0, as do
+    rays stopped by an aperture or the stop.
 
     Parameters
     ----------
@@ -58,9 +58,9 @@ def follow_sequence(
     p, d : (n, 3) float64
         Position, mm, before the first face, and unit direction; camera frame.
     weight : (n,) float64, optional
-        Power of each.
+        Power of each ray.
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     """
     return follow_to(tables.camera, route_of(faces_of(tables).legs(path), checked=True), p, d, weight, colour)
 
@@ -79,7 +79,7 @@ def follow_to(
     weight : (n,) float64
         Power of the rays.
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     """
     rays = np.empty((RAY_WEIGHT + 1, len(p)))
     rays[:3], rays[3:6], rays[RAY_WEIGHT] = p.T, d.T, weight
@@ -97,13 +97,13 @@ def follow_to(
 
 
 def lens_of_faces(lens: LensTables, first: int, last: int) -> LensTables:
-    """Return the tables of a lens with some of its faces only, for rays that go on from one to the next of them.
+    """Return the tables of a lens reduced to consecutive faces.
 
     Parameters
     ----------
     lens : LensTables
     first, last : int
-        The first of these faces, and the one before which they end.
+        First face, and end of the faces (excluded).
     """
     rows = lens.interfaces._replace(rows=lens.interfaces.rows[first:last])
     stop_space = lens.stop_space - first
@@ -115,14 +115,14 @@ def lens_of_faces(lens: LensTables, first: int, last: int) -> LensTables:
 
 
 def without_apertures(lens: LensTables) -> LensTables:
-    """Return the tables of a lens whose surfaces go on beyond their clear apertures, and whose stop takes nothing."""
+    """Return the tables of a lens with unlimited apertures and an open stop."""
     surfaces = lens.surfaces.copy()
     surfaces["semi_diameter"] = np.inf
     return lens._replace(surfaces=surfaces, stop_space=-1)
 
 
 def follow_route(camera: Camera, route: Route, rays: Array, legs: tuple[int, int], colour: int) -> Array:
-    """Return the ends (END_ROWS, n) of rays along some legs of a route, see `follow_rays`; no book is kept.
+    """Return the ends (END_ROWS, n) of rays along legs of a route, see `follow_rays`, without a book.
 
     Parameters
     ----------
@@ -130,9 +130,9 @@ def follow_route(camera: Camera, route: Route, rays: Array, legs: tuple[int, int
     route : Route
     rays : (7, n) float64
     legs : (2,) int
-        The first leg, and the one before which they end.
+        First leg, and end of the legs (excluded).
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     """
     count = rays.shape[1]
     ends = np.zeros((END_ROWS, count))
@@ -144,7 +144,7 @@ def follow_route(camera: Camera, route: Route, rays: Array, legs: tuple[int, int
 
 
 def unread_book(*regions: LensTables | MlaTables | CoverTables | None) -> Array:
-    """Return a book in which all that parts of a camera absorb can be entered, and that nobody reads."""
+    """Return a book with a slot for all absorption in parts of a camera, not to be read."""
     there = [region for region in regions if region is not None]
     slots = [region.interfaces.rows["slot"] for region in there]
     slots += [region.media.absorption.slot for region in there if region.media.absorption is not None]
@@ -152,15 +152,15 @@ def unread_book(*regions: LensTables | MlaTables | CoverTables | None) -> Array:
 
 
 def etendue_factors(tables: Tables, p: Array, d: Array, colour: int = 0) -> Array:
-    """Return by what thin lenses divide the radiance of rays (n,) from object space to behind the lens.
+    """Return the divisors (n,) of radiance by thin lenses, from object space to behind the lens.
 
     Parameters
     ----------
     tables : Tables
     p, d : (n, 3) float64
-        Position, mm, before the lens, and unit direction; camera frame. Apertures are left out.
+        Position, mm, before the lens, and unit direction; camera frame. Apertures are ignored.
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     """
     if not tables.lens.interfaces.thin:
         return np.ones(len(p))

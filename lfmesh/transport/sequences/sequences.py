@@ -1,8 +1,8 @@
-"""Paths through the camera as sequences: the faces that light meets in turn, and at which of them it is reflected.
+"""Paths through the camera as sequences of faces, with refraction or reflection at each.
 
 The faces of a camera are numbered from the object to the sensor: the refracting surfaces of the lens; the two faces of
-the array, if there is one; the two of the sensor's cover, if it has one; the sensor, if it reflects. A ghost of two
-reflections is a sequence like the image path, only longer.
+the array, if any; the two faces of the sensor's cover, if any; the sensor, if it reflects. A ghost with two reflections
+is a sequence like the image path, only longer.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,15 +15,15 @@ LENS_LEG, ARRAY_LEG, PLANES_LEG = 0, 1, 2
 
 @dataclass(frozen=True)
 class Itinerary:
-    """The faces that a path meets, in order.
+    """Faces that a path meets, in order.
 
     Attributes
     ----------
     faces : tuple of int
     reflected : tuple of bool
-        Whether the path is reflected at each of them; else it is refracted.
+        True for each face that reflects the path; the others refract it.
     to_sensor : bool
-        It leads from object space to the sensor, as light goes; else from the sensor to object space.
+        The path leads from object space to the sensor, as light goes; else from the sensor to object space.
     """
 
     faces: tuple[int, ...]
@@ -32,16 +32,16 @@ class Itinerary:
 
     @property
     def mirrors(self) -> tuple[int, ...]:
-        """The faces that reflect it, in order."""
+        """The faces that reflect the path, in order."""
         return tuple(face for face, mirrors in zip(self.faces, self.reflected, strict=True) if mirrors)
 
     @property
     def reverse(self) -> "Itinerary":
-        """The same path the other way."""
+        """The same path in the opposite direction."""
         return Itinerary(self.faces[::-1], self.reflected[::-1], not self.to_sensor)
 
     def until(self, face: int) -> "Itinerary":
-        """Return the part of a path before it first meets a face; for an array, its first face gives the lens' part."""
+        """Return the part of a path before a face; before the array's first face, this is the lens part."""
         end = self.faces.index(face) if face in self.faces else len(self.faces)
         return Itinerary(self.faces[:end], self.reflected[:end], self.to_sensor)
 
@@ -57,9 +57,9 @@ class Leg:
     faces : tuple of int
         Counted within the part, from the object to the sensor.
     reflected : tuple of bool
-        Whether the path is reflected at each of them.
+        True for each face that reflects the path.
     to_sensor : bool
-        Direction in which the leg begins.
+        Direction at the start of the leg.
     """
 
     part: int
@@ -70,13 +70,13 @@ class Leg:
 
 @dataclass(frozen=True)
 class Faces:
-    """Number of faces of each part of a camera, in their order from the object to the sensor.
+    """Number of faces of each part of a camera, from the object to the sensor.
 
     Attributes
     ----------
     of_lens, of_array, planes : int
     sensor_reflects : bool
-        The last of the planes is the sensor, where every path ends that is detected.
+        The last of the planes is the sensor, where every detected path ends.
     """
 
     of_lens: int
@@ -97,11 +97,11 @@ class Faces:
             yield Itinerary(path.faces[: len(path.faces) - ends], path.reflected[: len(path.faces) - ends])
 
     def part(self, face: int) -> int:
-        """Return the part of the camera that a face belongs to."""
+        """Return the part of the camera to which a face belongs."""
         return LENS_LEG if face < self.of_lens else ARRAY_LEG if face < self.of_lens + self.of_array else PLANES_LEG
 
     def legs(self, path: Itinerary) -> list[Leg]:
-        """Return a path part by part."""
+        """Return the legs of a path, part by part."""
         begin = {LENS_LEG: 0, ARRAY_LEG: self.of_lens, PLANES_LEG: self.of_lens + self.of_array}
         legs, to_sensor = [], path.to_sensor
         for part, met in groupby(zip(path.faces, path.reflected, strict=True), lambda met: self.part(met[0])):
@@ -112,19 +112,19 @@ class Faces:
 
 
 def image_path(faces: int) -> Itinerary:
-    """Return the path that is refracted at every one of a number of faces."""
+    """Return the path that is refracted at each of `faces` faces."""
     return Itinerary(tuple(range(faces)), (False,) * faces)
 
 
 def reflected_at(faces: int, first: int, second: int) -> Itinerary:
-    """Return the path that is reflected back at one face and forth again at an earlier one.
+    """Return the path reflected back at one face and forth again at an earlier one.
 
     Parameters
     ----------
     faces : int
         Number of faces of the camera.
     first, second : int
-        The faces that reflect, in the order in which light meets them; `first` > `second`.
+        Reflecting faces in the order that light meets them; `first` > `second`.
     """
     forward, back, on = range(first), range(first - 1, second, -1), range(second + 1, faces)
     return Itinerary(
@@ -134,9 +134,9 @@ def reflected_at(faces: int, first: int, second: int) -> Itinerary:
 
 
 def reflected_twice_at(faces: int, face: int, *, from_behind: bool) -> Itinerary:
-    """Return the path that is reflected twice running at the hollow side of one face.
+    """Return the path with two successive reflections at the concave side of a face.
 
-    Light then runs along the inside of a steep surface: before it, or, `from_behind`, after it has passed through.
+    Light then runs along the inside of a steep surface: before it or, `from_behind`, after passing through.
 
     Parameters
     ----------
@@ -155,14 +155,14 @@ def reflected_twice_at(faces: int, face: int, *, from_behind: bool) -> Itinerary
 def two_reflections(faces: int, hollow: Sequence[tuple[int, bool]] = ()) -> Iterator[Itinerary]:
     """Yield all paths from object space to the sensor with two reflections.
 
-    Left out are paths that meet a face again, straight after it, other than by two reflections at its hollow side.
+    Paths that meet a face twice in succession are omitted, except for two reflections at its concave side.
 
     Parameters
     ----------
     faces : int
         Number of faces of the camera.
     hollow : sequence of (int, bool)
-        Faces with a hollow side that may be met again at once, and whether that side looks at the sensor.
+        Faces with a concave side that may be met again at once, and whether that side faces the sensor.
     """
     for first in range(faces):
         for second in range(first):

@@ -1,8 +1,8 @@
-"""The stop of the lens as blocks of rays meet it: it ends rays beside it, and where that is asked diffracts the others.
+"""Stop of the lens for ray blocks: ends rays outside its aperture, and may diffract the others.
 
-A change of direction at the stop, in n sin θ along it, is the same everywhere in the pupil. Étendue is kept from there
-to the image, so that it moves a ray there by the same distance wherever in the pupil that passes: by λ N for λ over the
-stop's diameter, whatever the glass between and the magnification of the pupil.
+A deflection at the stop, in n sin θ along it, is the same everywhere in the pupil. Étendue is conserved from there to
+the image, so a deflection shifts a ray at the image by the same distance from anywhere in the pupil: by λ N for λ over
+the stop's diameter, whatever the glass in between and the pupil magnification.
 """
 
 from typing import Any
@@ -43,18 +43,18 @@ Array = NDArray[np.float64]
 
 @kernel
 def through_stop(bundle: Array, lens: LensTables, colour: int, book: Array) -> None:
-    """End the rays that pass the plane of the stop outside its aperture, and diffract the others.
+    """End rays outside the stop's aperture, and diffract the others.
 
     Parameters
     ----------
     bundle : (ROWS · BLOCK,) float64
         Camera frame.
     lens : LensTables
-        Its stop is no refracting surface.
+        Lens with a stop that is not a refracting surface.
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     book : (slots,) float64
-        For light that media absorb.
+        Receives light absorbed by media.
     """
     if lens.stop_posed:
         move_bundle(bundle, lens.stop_unpose)
@@ -81,7 +81,7 @@ def _meet_stop(bundle: Array, stop_z: float, limit: float) -> None:
 
 @inlined
 def _go_to_stop(aperture: Any, bundle: Array, stop_z: float) -> None:
-    """Enter where the rays that pass meet the plane of a stop that diffracts."""
+    """Set the intersections of passing rays with a stop that diffracts."""
     if aperture is None:
         return
     for i in range(BLOCK):
@@ -92,7 +92,7 @@ def _go_to_stop(aperture: Any, bundle: Array, stop_z: float) -> None:
 
 @inlined
 def _turn_at_stop(aperture: Any, bundle: Array, colour: int, index: float) -> None:
-    """Move rays to the plane of a stop that diffracts, and change their directions there."""
+    """Move rays to a stop that diffracts, and deflect them there."""
     if aperture is None:
         return
     for i in range(BLOCK):
@@ -103,24 +103,24 @@ def _turn_at_stop(aperture: Any, bundle: Array, colour: int, index: float) -> No
 
 @inlined
 def turn_behind_stop(aperture: Any, bundle: Array, lens: LensTables, k: int, colour: int, sense: float) -> None:
-    """Diffract rays that have passed a refracting surface, if it is the stop and diffracts.
+    """Diffract rays behind a refracting surface, if it is the stop and diffracts.
 
-    Refraction keeps n sin θ along the surface, so that it does not matter which side the change is taken on. A thin
-    lens keeps differences of slopes in its place: there slopes change, and étendue as at the lens itself.
+    Refraction conserves n sin θ along the surface, so the side of the deflection does not matter. A thin lens
+    conserves differences of slopes instead: there slopes change, and étendue as at the lens itself.
 
     Parameters
     ----------
     aperture : Apertures or None
-        That of the lens.
+        Apertures of the lens.
     bundle : (ROWS · BLOCK,) float64
         Camera frame.
     lens : LensTables
     k : int
-        Number of the surface.
+        Surface number.
     colour : int
-        Number of the wavelength.
+        Wavelength number.
     sense : float
-        1 for rays that go towards the sensor, −1 for others.
+        1 for rays towards the sensor, −1 for others.
     """
     if aperture is None:
         return
@@ -151,7 +151,7 @@ def turn_behind_stop(aperture: Any, bundle: Array, lens: LensTables, k: int, col
 
 @inlined
 def _turn(bundle: Array, i: int, kick: tuple[float, float], index: float, nx: float, ny: float, nz: float) -> None:
-    """Change a ray's direction along a face by n sin θ, or end it where no such direction exists."""
+    """Deflect a ray along a face, in n sin θ, or end it if no such direction exists."""
     goes_on, dx, dy, dz = turned_along(
         (kick[0] / index, kick[1] / index), (bundle[DX + i], bundle[DY + i], bundle[DZ + i]), (nx, ny, nz)
     )

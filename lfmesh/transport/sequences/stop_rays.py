@@ -1,4 +1,4 @@
-"""Rays from the stop, uniform over its area and over all directions, traced to the sensor and to object space."""
+"""Rays from the stop, uniform over area and directions, traced to sensor and object space."""
 
 from typing import Any, NamedTuple
 
@@ -35,28 +35,27 @@ from lfmesh.transport.tables.tables import (
 Array = NDArray[np.float64]
 
 BATCH = 1 << 16
-"""Rays that are drawn at once."""
+"""Number of rays drawn at once."""
 
 BATCHES = 40
 """Largest number of batches in a round; fewer once `ENOUGH` rays have come through."""
 
 ENOUGH = 45_000
-"""Number of rays in a round: if none of them is outside the aim, less than 7e-5 of the throughput is (with 95 %
-confidence)."""
+"""Number of rays in a round: if none is outside the aim, less than 7e-5 of the throughput is (95 % confidence)."""
 
 NEAREST = 1e-3
-"""Least distance from the sensor's centre, in its half diagonals, at which rays of the first search would land by
-first-order optics."""
+"""Least distance from the sensor's centre, in half diagonals, at which the rays of the first search land by first-order
+optics."""
 
 FURTHEST = 1e3
 """Largest distance, likewise."""
 
 ROOM = 1.15
-"""Factor on the largest such distance of a ray that reached the sensor; rays of the measurement are drawn within it."""
+"""Factor on the largest such distance of a ray that reached the sensor; the measurement draws rays within it."""
 
 
 class Rays(NamedTuple):
-    """Rays that came through from the stop to the sensor and to object space.
+    """Rays from the stop that reach the sensor and object space.
 
     Attributes
     ----------
@@ -67,9 +66,9 @@ class Rays(NamedTuple):
     throughput : (n,) float64
         Relative throughput.
     colour : (n,) int64
-        Number of the wavelength.
+        Wavelength number.
     kick : (n, 2) float64
-        Change of direction at the lenslet, see `events.kick`; 0 without diffraction.
+        Deflection at the lenslet, see `events.kick`; 0 without diffraction.
     """
 
     sensor: Array
@@ -80,7 +79,7 @@ class Rays(NamedTuple):
 
 
 class CoverPlate(NamedTuple):
-    """Plate before the sensor: thickness, how much nearer the sensor appears through it (mm), and indices by colour."""
+    """Plate before the sensor: thickness, apparent shift of the sensor towards the lens (mm), indices by colour."""
 
     thickness: float
     nearer: float
@@ -89,9 +88,9 @@ class CoverPlate(NamedTuple):
 
 @by_address
 class CameraTables(NamedTuple):
-    """Tables of the camera that rays from the stop go through; the sensor is where it appears to be.
+    """Camera tables for rays from the stop; the sensor is at its apparent place.
 
-    The lens's own tables know nothing of diffraction at the stop: `stop` are the apertures of one that diffracts.
+    `stop` holds the apertures of a stop that diffracts. The lens's own tables have no diffraction at the stop.
     """
 
     lens: LensTables
@@ -103,7 +102,7 @@ class CameraTables(NamedTuple):
 
 
 def reach_of(through: CameraTables, random: np.random.Generator) -> float:
-    """Return the largest distance from the sensor's centre, by first-order optics, of rays that reach the sensor.
+    """Return the largest first-order distance from the sensor's centre of rays that reach the sensor.
 
     0: none does.
     """
@@ -115,7 +114,7 @@ def reach_of(through: CameraTables, random: np.random.Generator) -> float:
 
 
 def rays_from_stop(through: CameraTables, reach: float, random: np.random.Generator) -> Rays:
-    """Return rays from the stop, uniform over its area and over their landing points by first-order optics.
+    """Return rays from the stop, uniform over its area and their first-order landing points.
 
     Parameters
     ----------
@@ -139,7 +138,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     Parameters
     ----------
     place : (n,) float64, mm
-        Distance from the sensor's centre at which each ray would land by first-order optics.
+        Distance of each ray's first-order landing point from the sensor's centre.
     """
     lens, sensor = through.lens, through.sensor
     space, z, rim, depth, pose = _stop_of(lens)
@@ -168,11 +167,11 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
         plane, ahead = (x[mine], y[mine], z), (tx[mine], ty[mine])
         back = ahead
         if through.stop is not None:
-            # On the other side of the stop the same rays have another direction.
+            # On the other side of the stop the same rays have other directions.
             back = _turned_at_stop(through.stop, lens, space, colour, ahead, random)
         to_sensor[mine] = ends = _sensor_side(through, space, _starts(plane, ahead, start, pose), colour, changes)
         lands = (ends[:, 5] > 0.0) & (abs(ends[:, 0]) < half_width) & (abs(ends[:, 1]) < half_height)
-        # What does not come to the sensor is not traced the other way.
+        # Rays that miss the sensor are not traced to object space.
         on = np.flatnonzero(lands)
         plane, back = (plane[0][on], plane[1][on], z), (back[0][on], back[1][on])
         to_objects[mine][on] = _object_side(through, space, _starts(plane, back, -start, pose), colour)
@@ -185,7 +184,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
 def _turned_at_stop(
     stop: Any, lens: LensTables, space: int, colour: int, slopes: tuple[Array, Array], random: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return slopes, (n,) each, after a change of direction at the stop; as they were where there is none such."""
+    """Return slopes, (n,) each, after deflection at the stop; unchanged if no such direction exists."""
     kicks, given = np.zeros((len(slopes[0]), 2)), np.array(slopes)
     _find_kicks(stop, colour, np.uint64(random.integers(1 << 63)), kicks)
     index = float(lens.media.indices[lens.medium[space], colour])
@@ -196,7 +195,7 @@ def _turned_at_stop(
 
 
 def _starts(plane: tuple[Array, Array, float], slopes: tuple[Array, Array], back: float, pose: Array) -> Array:
-    """Return rays (10, n) of weight 1 through points of the stop's plane, as `follow_rays` takes them.
+    """Return rays (10, n) of weight 1 through the stop's plane, as `follow_rays` takes them.
 
     Parameters
     ----------
@@ -205,10 +204,10 @@ def _starts(plane: tuple[Array, Array, float], slopes: tuple[Array, Array], back
     slopes : tuple
         In x and y, (n,).
     back : float, mm
-        Distance before the plane at which they start, as straight lines, so that all surfaces lie ahead; negative for
-        rays that run against the axis.
+        Distance before the plane where the straight rays start, so that all surfaces lie ahead; negative for rays
+        against the axis.
     pose : (3, 4) float64
-        Rigid motion of that plane, and of the rays, from their place in the prescription.
+        Rigid motion of the plane and the rays from their place in the prescription.
     """
     (x, y, z), (tx, ty) = plane, slopes
     rays = np.ones((RAY_KICK_AT + 1, len(x)))
@@ -219,7 +218,7 @@ def _starts(plane: tuple[Array, Array, float], slopes: tuple[Array, Array], back
 
 
 def _object_side(through: CameraTables, space: int, rays: Array, colour: int) -> Array:
-    """Return point and direction in object space, camera frame, and transmittance, (n, 7), of rays from the stop."""
+    """Return point and direction in object space, camera frame, and transmittance, (n, 7), of stop rays."""
     camera = _camera_of_faces(through, 0, space)
     ends = follow_route(camera, image_route(space, False), rays, (LENS_AGAIN, LENS_AGAIN + 1), colour)
     passes = (ends[RAY_ENDED] == 0.0) & (ends[5] < 0.0)
@@ -227,12 +226,12 @@ def _object_side(through: CameraTables, space: int, rays: Array, colour: int) ->
 
 
 def _sensor_side(through: CameraTables, space: int, rays: Array, colour: int, kicks: Array) -> Array:
-    """Return place and direction at the sensor, in its frame, and transmittance, (n, 6), of rays from the stop.
+    """Return place and direction at the sensor, its frame, and transmittance, (n, 6), of stop rays.
 
     Parameters
     ----------
     kicks : (n, 2) float64
-        Changes of direction by diffraction at the array.
+        Deflections by diffraction at the array.
     """
     last = len(through.lens.surfaces)
     camera, route = _camera_of_faces(through, space, last), image_route(last - space, bool(through.mla.present))
@@ -251,30 +250,30 @@ def _sensor_side(through: CameraTables, space: int, rays: Array, colour: int, ki
 
 
 def _camera_of_faces(through: CameraTables, first: int, last: int) -> Camera:
-    """Return the camera with some faces of its lens only, without the stop, within which rays start."""
+    """Return the camera with consecutive lens faces only, without the stop, where rays start."""
     lens = lens_of_faces(through.lens, first, last)._replace(stop_space=-1)
     return Camera(lens, through.mla, through.sensor, through.frames)
 
 
 def _unit(d: Array) -> Array:
-    """Return directions (3, n), whose length every interface changes by a rounding error, at their length of 1."""
+    """Return directions (3, n) at unit length, which interfaces change by rounding errors."""
     return d / np.sqrt((d * d).sum(axis=0))
 
 
 def _moved(through: Array, p: Array) -> Array:
-    """Return points (3, n) seen through a frame."""
+    """Return points (3, n) transformed to another frame."""
     return _turned(through, p) + through[:, 3:]
 
 
 def _turned(through: Array, d: Array) -> Array:
-    """Return directions (3, n) seen through a frame: without BLAS, whose threads cost more than three rows bring."""
+    """Return directions (3, n) transformed to another frame, without BLAS, whose threads cost more."""
     return np.einsum("ij,jn->in", through[:, :3], d)
 
 
 def _land_behind(rays: Array, cover: CoverPlate, colour: int) -> None:
-    """Move rays (n, 6) from where they would meet the sensor as it appears to where they meet it behind its cover.
+    """Move rays (n, 6) from the sensor's apparent place to their landing points behind the cover.
 
-    By first-order optics, with which the sensor's apparent place is found, these are the same.
+    By first-order optics, which gives the apparent place, the two agree.
     """
     slopes = rays[:, 2:4] / np.where(rays[:, 4:5] > 0.0, rays[:, 4:5], 1.0)
     glass2 = cover.indices[colour] ** 2
@@ -283,9 +282,9 @@ def _land_behind(rays: Array, cover: CoverPlate, colour: int) -> None:
 
 
 def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[float, float]:
-    """Return the first-order coefficients of the height at a plane behind the lens by height and slope inside it.
+    """Return the first-order coefficients of the height at a plane behind the lens.
 
-    The height there is the first number times the height at z in the space, plus the second times the slope.
+    The height there is the first coefficient times the height at z in the space, plus the second times the slope.
     """
     surfaces, indices = lens.surfaces, lens.media.indices[lens.medium, lens.media.indices.shape[1] // 2]
     heights, slopes = np.array([1.0, 0.0]), np.array([0.0, 1.0])
@@ -299,7 +298,7 @@ def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[f
 
 
 def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
-    """Return the space that the stop lies in or bounds, z and radius of the stop, its largest sag, and its pose."""
+    """Return the space that holds or touches the stop, and the stop's z, radius, largest sag and pose."""
     if lens.stop_space >= 0:
         return lens.stop_space, lens.stop_z, lens.stop_radius, 0.0, lens.stop_pose
     surfaces = lens.surfaces
@@ -311,7 +310,7 @@ def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
 
 @kernel
 def _find_kicks(apertures: Any, colour: int, key: np.uint64, kicks: Array) -> None:
-    """Draw the rays' changes of direction, (n, 2)."""
+    """Draw the rays' deflections, (n, 2)."""
     if apertures is None:
         return
     for i in range(len(kicks)):

@@ -1,1 +1,1 @@
-"""Aims: where rays are sent to, each with a draw, a density, and a support that rays from the stop prove."""
+"""Aims: targets of sampled rays, with draw, density, and a support proved by rays from the stop."""

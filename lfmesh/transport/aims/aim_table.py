@@ -1,4 +1,4 @@
-"""The aim tables of a scene: the lens's opening as seen from targets and sensor."""
+"""Aim tables of a scene: the lens's opening as seen from targets and sensor."""
 
 from typing import NamedTuple
 
@@ -39,27 +39,27 @@ from lfmesh.transport.tables.tables import (
 )
 
 FAR = 1e9
-"""Distance in mm that is used for infinity."""
+"""Distance in mm that stands for infinity."""
 
 Shapes = tuple[tuple[Array, NDArray[np.intp]], ...]
-"""Corners of surfaces and convex bodies, (n, 3) mm, and pairs of them that are joined, (m, 2)."""
+"""Corners of surfaces and convex bodies, (n, 3) mm, and pairs of joined corners, (m, 2)."""
 
 DISTANT, WIDE = 1e4, 10.0
-"""Depth of what is seen of a medium without bounds, in radii of the lens's front, and tangent of its field angle."""
+"""Visible depth of an unbounded medium, in radii of the lens's front, and tangent of its field angle."""
 
 CORNERS = 8
-"""Of a box."""
+"""Number of corners of a box."""
 
 
 def shapes_in_camera(targets: list[TargetMesh], boxes: Array, moves: Array) -> Shapes:
-    """Return the corners of targets and of boxes, in the camera frame, and which of each shape's corners are joined.
+    """Return the corners of targets and boxes, camera frame, and each shape's pairs of joined corners.
 
     Parameters
     ----------
     targets : list of TargetMesh
         In the world frame.
     boxes : (8 n, 3) float64, mm, camera frame
-        Corners of boxes, all of which count as joined.
+        Corners of boxes, all joined.
     moves : (6, 6, 3, 4) float64
         Between frames, see `frame_table`.
     """
@@ -73,9 +73,9 @@ def shapes_in_camera(targets: list[TargetMesh], boxes: Array, moves: Array) -> S
 
 
 def all_before(lens: LensTables) -> Array:
-    """Return the corners of a body that stands for a medium without bounds before the lens, camera frame, (8, 3) mm.
+    """Return the corners of an unbounded medium before the lens, camera frame, (8, 3) mm.
 
-    Beyond its sides the lens is seen at angles at which none lets light through.
+    Its sides exceed the field angle of any lens.
     """
     near = float(lens.surfaces[0]["semi_diameter"])
     far = DISTANT * near
@@ -86,19 +86,19 @@ def all_before(lens: LensTables) -> Array:
 
 
 class Unproven(NamedTuple):
-    """Aim tables of a scene, and what proves them.
+    """Aim tables of a scene, with the data to prove them.
 
     Attributes
     ----------
     aim : AimTables
     through : CameraTables
-        Of the camera that rays from the stop go through.
+        Camera for rays from the stop.
     seen : Viewpoints or None
         Viewpoints of the targets; None if no target lies before the lens.
     near : NearViewpoints or None
-        Those close before the lens.
+        Viewpoints close before the lens.
     fits : bool
-        Rays from the stop are fit to widen the aim.
+        Rays from the stop may widen the aim.
     """
 
     aim: AimTables
@@ -114,18 +114,18 @@ def _points_of(shapes: Shapes) -> Array:
 
 
 def aim_table(scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, *, analytic: bool) -> Unproven:
-    """Return the aim tables of a scene before rays from the stop have proven them.
+    """Return a scene's aim tables, not yet proved by rays from the stop.
 
     Parameters
     ----------
     scene : Scene
     report : FirstOrder
     camera : Camera
-        Tables of the scene, without absorption; its frames have the sensor where it appears to be.
+        Tables of the scene, without absorption; frames with the sensor at its apparent place.
     shapes : of (points (n, 3) float64, mm, camera frame; edges (m, 2) int)
-        From which light comes: corners of targets and media, and round particles, see `shapes_in_camera`.
+        Sources of light: corners of targets and media, and round particles, see `shapes_in_camera`.
     analytic : bool
-        Every surface of the lens is exact, so that the opening is found by real rays; else by first-order optics.
+        All lens surfaces are exact: find the opening by real rays, else by first-order optics.
     """
     lens, mla, sensor, moves = camera.lens, camera.mla, camera.sensor, camera.frames
     through = CameraTables(lens, mla, sensor, moves, _cover_of(scene))
@@ -143,7 +143,7 @@ def aim_table(scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, 
         behind = frame.points(moves[MLA_FRAME, CAMERA_FRAME], apexes)
     near, disks = _seen_close(report, lens, shapes, analytic)
     if near is not None and not has_glass(scene):
-        # Rays from near points go everywhere; from glass they are aimed at a disk alone.
+        # Rays from near points go everywhere; rays from glass are aimed only at a disk.
         front_radius = widest_disk(lens, seen, front=True, nearest=near.depth)
     from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True, near=near)
     posed = has_poses(lens) or not all(map(is_revolved, lens.surfaces))
@@ -152,18 +152,18 @@ def aim_table(scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, 
         entrance = entrance._replace(near=disks, near_depth=near.depth)
     exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
     if posed:
-        # Poses move the disks of the openings, and other sections open other field angles; the proof widens them.
+        # Poses move the openings' disks, and other sections pass other field angles; the proof widens the disks.
         entrance, exit_ = decentred(entrance, exit_, through)
     aim = before_array(scene, (entrance, exit_), (front_radius, back_radius))
     if mla.present:
         lenslets = aim_through_lenslets(scene, report, mla, exit_, moves, sensor, glass)
         aim = aim._replace(lenslets=lenslets)
-    # The surfaces that fit meshes tell how much wider poses make the openings.
+    # Surfaces fitted to meshes show how much poses widen the openings.
     return Unproven(aim, through, from_targets, near, fits=analytic or posed)
 
 
 def _sensor_corners(scene: Scene, moves: Array) -> Array:
-    """Return corners, middles of the sides and centre of the sensor, (9, 3) mm, camera frame."""
+    """Return corners, side midpoints and centre of the sensor, (9, 3) mm, camera frame."""
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
     return frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
 
@@ -178,19 +178,19 @@ def _cover_of(scene: Scene) -> CoverPlate | None:
 
 
 def has_glass(scene: Scene) -> bool:
-    """Tell whether there are bodies of glass or liquid before the camera."""
+    """Tell whether glass or liquid stands before the camera."""
     return bool(scene.tanks) or any(target.refractor is not None for target in scene.targets)
 
 
 def _near_points(lens: LensTables, shapes: Shapes) -> NearViewpoints | None:
-    """Return the viewpoints of what is nearer to the lens than its front is high; None: nothing is."""
+    """Return viewpoints closer to the lens than its front's semi-diameter; None without any."""
     return near_viewpoints(float(lens.box_low[2]), float(lens.surfaces[0]["semi_diameter"]), shapes)
 
 
 def _seen_close(
     report: FirstOrder, lens: LensTables, shapes: Shapes, analytic: bool
 ) -> tuple[NearViewpoints | None, Disks | None]:
-    """Return viewpoints close before the lens that see light through it, and the opening from them; None: none do."""
+    """Return close viewpoints that see light through the lens, and the opening from them; None without any."""
     near = _near_points(lens, shapes)
     if near is None:
         return None, None
@@ -203,7 +203,7 @@ def _seen_close(
 
 
 def _anywhere(scene: Scene, camera: Camera, shapes: Shapes) -> AimTables:
-    """Return the aim tables of a camera in which light is scattered, so that it may come from anywhere on the lens."""
+    """Return the aim tables of a scattering camera, with light from anywhere on the lens."""
     lens, mla = camera.lens, camera.mla
     behind = _sensor_corners(scene, camera.frames)
     near = _near_points(lens, shapes)
@@ -221,27 +221,27 @@ def _anywhere(scene: Scene, camera: Camera, shapes: Shapes) -> AimTables:
 
 
 def before_array(scene: Scene, openings: tuple[Opening, Opening], radii: tuple[float, float]) -> AimTables:
-    """Return aim tables that know the openings of the lens, and nothing of lenslets.
+    """Return aim tables with the openings of the lens but no lenslets.
 
     Parameters
     ----------
     scene : Scene
     openings : (entrance, exit) of Opening
     radii : (front, back), mm
-        Of the disks that every ray to the lens crosses.
+        Radii of the disks that every ray to the lens crosses.
     """
-    # Reflections reach the sensor from all over the lens; without them the wide disk only brings light beside the
+    # Reflections reach the sensor from all over the lens; without them the wide disk only adds light beside the
     # measured opening.
     followed = scene.transport.split != "transmit"
     shares = (WIDE_SHARE, 1.0) if followed else (WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_IMAGE_PATH)
     sides = [LensAim(opening, radius, *shares) for opening, radius in zip(openings, radii, strict=True)]
-    # An opening of which nothing is known is closed in all of its table.
+    # The table of an unknown opening is closed everywhere.
     entrance, exit_ = (side if (side.opening.far.radius > 0.0).any() else anywhere(side) for side in sides)
     return AimTables(entrance, exit_, no_lenslets(1))
 
 
 def unaimed(scene: Scene, lens: LensTables) -> AimTables:
-    """Return aim tables that know no opening: every ray to the lens is sent anywhere on its box."""
+    """Return aim tables without a known opening: rays go anywhere on the lens's box."""
     planes = float(lens.box_low[2]), float(lens.box_high[2])
     radius = float(np.hypot(lens.box_high[0], lens.box_high[1]))
     openings = closed_opening(planes[0], to_sensor=True), closed_opening(planes[1], to_sensor=False)
@@ -249,12 +249,12 @@ def unaimed(scene: Scene, lens: LensTables) -> AimTables:
 
 
 def has_poses(lens: LensTables) -> bool:
-    """Tell whether a surface of the lens or its stop stands off its place in the prescription."""
+    """Tell whether a lens surface or the stop is displaced."""
     return bool(lens.surfaces["posed"].any()) or lens.stop_posed
 
 
 def without_poses(lens: LensTables) -> LensTables:
-    """Return the tables of a lens whose surfaces and stop stand as prescribed."""
+    """Return the tables of a lens in its prescribed place."""
     surfaces = lens.surfaces.copy()
     surfaces["posed"] = 0
     return lens._replace(surfaces=surfaces, stop_posed=False)
@@ -264,9 +264,9 @@ def opening_seen(
     report: FirstOrder, lens: LensTables, points: Array, wide_radius: float, analytic: bool, *, front: bool,
     near: NearViewpoints | None = None,
 ) -> Opening:  # fmt: skip
-    """Return the opening of one side of the lens, without the poses of its elements, as seen from points.
+    """Return the opening of one side of the lens, without poses, as seen from points.
 
-    The table of an opening is that of a lens of revolution; of others it has the section x–z.
+    For a lens without rotational symmetry it is that of the x–z section.
 
     Parameters
     ----------
@@ -274,13 +274,13 @@ def opening_seen(
     lens : LensTables
     points : (n, 3) float64, mm, camera frame
     wide_radius : float, mm
-        Of the disk that every ray to the lens crosses.
+        Radius of the disk that every ray to the lens crosses.
     analytic : bool
         See `aim_table`.
     front : bool
-        The object side of the lens; else the sensor side.
+        Object side of the lens; else sensor side.
     near : NearViewpoints, optional
-        Points close before the lens, which have a table of their own.
+        Close points, with their own table.
     """
     plane_z = float(lens.box_low[2] if front else lens.box_high[2])
     seen = viewpoints(plane_z, wide_radius, points, to_sensor=front, near=near)
@@ -293,38 +293,38 @@ def opening_seen(
 
 
 def _pupil(report: FirstOrder, lens: LensTables, *, front: bool) -> tuple[float, float]:
-    """Return z and diameter of the paraxial pupil of one side, mm."""
+    """Return z and diameter of one side's paraxial pupil, mm."""
     z = report.entrance_pupil_z_mm if front else report.exit_pupil_z_mm
     diameter = report.entrance_pupil_diameter_mm if front else report.exit_pupil_diameter_mm
     if not np.isfinite(z):
-        # Telecentric: a pupil so far away that all points see it in the same direction.
+        # Telecentric: the pupil is so far away that all points see it in the same direction.
         plane_z = float(lens.box_low[2] if front else lens.box_high[2])
         return (plane_z + FAR, FAR) if front else (plane_z - FAR, FAR / report.working_f_number)
     return z, diameter
 
 
 def _as_prescribed(lens: LensTables) -> LensTables:
-    """Return the tables of a lens without the poses of its elements."""
+    """Return the tables of a lens without poses."""
     return without_poses(lens) if has_poses(lens) else lens
 
 
 def widest_disk(lens: LensTables, p: Array, *, front: bool, nearest: float = 0.0) -> float:
-    """Return the radius of a disk in the lens's outermost plane that every ray from points to the lens crosses, mm.
+    """Return the radius, mm, of a disk in the lens's outermost plane crossed by all rays from points to the lens.
 
     Parameters
     ----------
     lens : LensTables
     p : (n, 3) float64, mm, camera frame
     front : bool
-        The object side of the lens; else the sensor side.
+        Object side of the lens; else sensor side.
     nearest : float, mm
-        Rays from points that are nearer to the plane need not cross the disk.
+        Rays from closer points need not cross the disk.
     """
     surfaces = lens.surfaces
     plane = lens.box_low[2] if front else lens.box_high[2]
     outer = surfaces[0] if front else surfaces[-1]
     rim = float(max(abs(lens.box_low[0]), abs(lens.box_high[0]), abs(lens.box_low[1]), abs(lens.box_high[1])))
-    # Rays come to what is deeper than the rim through the rim, and to what is less deep nearer to the plane.
+    # Rays reach depths beyond the rim through the rim, and smaller depths nearer to the plane.
     z = np.concatenate([rim_hull(outer, r)[:, 2] for r in (0.0, float(outer["semi_diameter"]))])
     depth = abs(float(z.max() if front else z.min()) - plane)
     distance = np.maximum((plane - p[:, 2]) if front else (p[:, 2] - plane), max(depth, nearest))

@@ -1,4 +1,4 @@
-"""Directions from a point to a disk perpendicular to the axis, even over its area."""
+"""Directions from a point to a disk perpendicular to the axis, uniform over its area."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ Vector = tuple[float, float, float]
 """Point or direction."""
 
 Disk = tuple[float, float, float, float]
-"""Centre (x, y, z) and radius of a disk, mm; a radius that is not positive: there is none."""
+"""Centre (x, y, z) and radius of a disk, mm; no disk if the radius is not positive."""
 
 
 @kernel
@@ -30,7 +30,7 @@ def toward_disk(p: Vector, disk: Disk, u: float, v: float) -> Vector:
 
 @kernel
 def disk_density(p: Vector, d: Vector, disk: Disk) -> float:
-    """Return the density, 1/sr, with which `toward_disk` draws a direction.
+    """Return the density, 1/sr, of a direction drawn by `toward_disk`.
 
     Parameters
     ----------

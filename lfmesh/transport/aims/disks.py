@@ -1,4 +1,4 @@
-"""Tables of the disks in a plane through which the lens lets light, by two numbers of the points that see them."""
+"""Tables of the disks in a plane that pass light through the lens, by two coordinates of the viewpoint."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,45 +9,45 @@ from lfmesh.transport.tables.tables import Disks
 Array = NDArray[np.float64]
 
 CONTINUED = 4.0
-"""Factor on the errors of interpolation at nodes whose disks are continued from their neighbours'."""
+"""Factor on the interpolation error at nodes with disks extrapolated from their neighbours."""
 
 BEYOND = 1.0 + 2.0**-40
-"""Factor on the last column, beyond which the lens counts as closed: the outermost of the points that a table was made
-for must not be there by rounding."""
+"""Factor on the last column, beyond which the lens counts as closed: keeps rounding from putting the outermost points
+there."""
 
 
 def no_disks() -> Disks:
-    """Return a table by which the lens is closed."""
+    """Return a table of a closed lens."""
     return Disks(1.0, 0.0, 1.0, np.zeros((2, 2)), np.full((2, 2), -1.0), np.zeros((2, 2)))
 
 
 def wide_open(disks: Disks, radius: float) -> Disks:
-    """Return a table by which every point sees a disk about the axis, mm."""
+    """Return a table that shows every point a disk about the axis, mm."""
     return Disks(np.inf, disks.first, 1.0, np.zeros((2, 2)), np.full((2, 2), radius), np.zeros((2, 2)))
 
 
 def covering(
     column_step: float, along: Array, middle: Array, radius: Array, distance: Array, *, vanishes: bool = False
 ) -> Disks:
-    """Return measured disks as a table whose disks cover what lies between its nodes.
+    """Return measured disks as a table that also covers the space between its nodes.
 
     Parameters
     ----------
     column_step : float
     along : (n,) float64
-        Of the rows.
+        Row coordinates.
     middle, radius : (n, m) float64, mm
-        Centre along the meridian and radius of the disk at each node; radius −1: no light gets through.
+        Centre along the meridian and radius of the disk at each node; radius −1: closed.
     distance : (n,) float64, mm
-        Of the rows, from the plane.
+        Distances of the rows from the plane.
     vanishes : bool
         The disks of the first row, in the plane itself, are points.
     """
     middle, radius = middle.copy(), radius.copy()
     allowed = _cover(middle, radius, distance)
     if vanishes:
-        # Between the first two rows an error of interpolation vanishes towards the plane as the disk does, and is at
-        # most four times as large as in the middle.
+        # Between the first two rows the interpolation error vanishes towards the plane as the disk does. It is at most
+        # four times the error in the middle.
         allowed[1] = 4.0 * np.maximum(allowed[0], allowed[1])
         allowed[0] = 0.0
     radius = np.where(radius >= 0.0, radius + allowed, -1.0)
@@ -59,19 +59,19 @@ def covering(
 
 
 def _cover(middle: Array, radius: Array, distance: Array) -> Array:
-    """Give disks to the closed nodes next to open ones, as intervals may be open in part; return errors, (n, m) mm.
+    """Give disks to closed nodes next to open ones, for partly open intervals; return errors, (n, m) mm.
 
     Parameters
     ----------
     middle, radius : (n, m) float64, mm
-        Disks by rows and columns that are evenly spaced; radius −1: closed. Those next to open ones are changed.
+        Disks by evenly spaced rows and columns; radius −1: closed. Changed at closed nodes next to open ones.
     distance : (n,) float64, mm
-        Of the rows.
+        Distances of the rows.
 
     Returns
     -------
     allowed : (n, m) float64, mm
-        By how much disks that are interpolated linearly may be off.
+        Error bound of linear interpolation.
     """
     is_open = radius >= 0.0
     bend = sum(_bend(values, is_open, axis) for values in (middle, radius) for axis in (0, 1))
@@ -83,7 +83,7 @@ def _cover(middle: Array, radius: Array, distance: Array) -> Array:
 
 
 def _bend(values: Array, is_open: NDArray[np.bool_], axis: int) -> Array:
-    """Return the error of linear interpolation along an axis, (n, m): an eighth of the second difference."""
+    """Return the linear interpolation error along an axis, (n, m): an eighth of the second difference."""
     found = np.zeros(values.shape)
     if values.shape[axis] > 2:
         values, there, known = np.moveaxis(values, axis, 0), np.moveaxis(found, axis, 0), np.moveaxis(is_open, axis, 0)
@@ -95,8 +95,8 @@ def _bend(values: Array, is_open: NDArray[np.bool_], axis: int) -> Array:
 def _extend(middle: Array, radius: Array, distance: Array) -> None:
     """Give disks to the closed nodes next to open ones.
 
-    Centres go on evenly along the columns or, where no neighbour there is open, along the rows. Radii stay, or grow
-    with the distance.
+    Centres are extrapolated linearly along the columns or, without an open neighbour there, along the rows. Radii stay
+    constant along columns and grow with the distance along rows.
     """
     for axis in (1, 0):
         m, r = (np.moveaxis(a, axis, 0) for a in (middle, radius))
@@ -122,9 +122,9 @@ def disk_at(disks: Disks, x: float, y: float, across: float, along: float) -> tu
     ----------
     disks : Disks
     x, y : float, mm
-        The point, camera frame.
+        Point, camera frame.
     across, along : float
-        Its numbers by which columns and rows go.
+        Its coordinates for columns and rows.
     """
     height = np.sqrt(x * x + y * y)
     middle, radius = disks.middle, disks.radius

@@ -1,4 +1,4 @@
-"""Aims fitted to rays from the stop: openings moved and widened, views and cells as wide as the light needs."""
+"""Aims fitted to rays from the stop: moved and widened openings, wider views and cells."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +22,18 @@ ALLOWED = 1e-4
 Array = NDArray[np.float64]
 
 MARGIN = 1.02
-"""Factor by which a fitted aim is wider than the rays need."""
+"""Factor by which a fitted aim exceeds the need of the rays."""
 
 
 def shown_by(off: Array, throughput: Array) -> Array:
-    """Return the root mean square of the light in each ring of a lenslet's view, (RINGS + 1,); see `LensletAim.shown`.
+    """Return the root mean square light in each ring of a lenslet's view, (RINGS + 1,); see `LensletAim.shown`.
 
-    A ring counts as no darker than those further out, so that none is dark because few rays met it by chance.
+    A ring counts as no darker than the rings outside it, so that sparse rays do not make it dark.
 
     Parameters
     ----------
     off : (n,) float64
-        Distance of rays from the centres of views, relative to the views' radius.
+        Distance of rays from the centres of views, in radii of the views.
     throughput : (n,) float64
     """
     light, _ = np.histogram(off * off, RINGS, (0.0, 1.0), weights=throughput)
@@ -41,19 +41,19 @@ def shown_by(off: Array, throughput: Array) -> Array:
     if not brightest > 0.0:
         return unmeasured_light()
     light = np.maximum.accumulate(light[::-1])[::-1]
-    # A direction leads through the opening or not, so its mean square is its mean.
+    # A direction either leads through the opening or does not, so its mean square is its mean.
     return by_rings(np.sqrt(light))
 
 
 def decentred(entrance: Opening, exit_: Opening, through: CameraTables) -> tuple[Opening, Opening]:
-    """Return the openings of both sides, moved to where poses of lens elements let the light through.
+    """Return both sides' openings, moved to where posed lens elements pass light.
 
-    Rays from the stop say by how much, on average: a shift, and how it changes with the distance of the point.
+    Rays from the stop give the mean move: a shift, and its change with the distance of the point.
 
     Parameters
     ----------
     entrance, exit_ : Opening
-        Of the lens as prescribed.
+        Openings of the lens as prescribed.
     through : CameraTables
         With poses.
     """
@@ -77,7 +77,7 @@ def decentred(entrance: Opening, exit_: Opening, through: CameraTables) -> tuple
 def _moved_to_rays(
     opening: Opening, p: Array, d: Array, throughput: Array, random: np.random.Generator, *, near: bool = False
 ) -> Disks:
-    """Return one of an opening's tables with centres moved by the mean distance of rays from them.
+    """Return an opening's table with centres moved by the mean offset of the rays.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def _moved_to_rays(
         return disks
     weight = np.sqrt(throughput[known])[:, None]
     terms = np.column_stack([np.ones(known.sum()), row[known]])[:, : 2 if rows else 1]
-    # Disks that vanish towards the plane do not move there.
+    # Disks that vanish towards the plane stay in place there.
     first = 1 if disks.first == 0.0 and not (disks.radius[0] > 0.0).any() else 0
     shift = np.zeros((2, 2))
     shift[first : terms.shape[1]] = np.linalg.lstsq(weight * terms[:, first:], weight * off[known], rcond=None)[0]
@@ -114,9 +114,9 @@ def _moved_to_rays(
 
 
 def _open_out_to(disks: Disks, columns: int) -> Disks:
-    """Return a table that is open in so many columns at least, as poses may let light through beyond.
+    """Return a table open in at least `columns` columns, as poses may pass more light.
 
-    Beyond those in which the lens as prescribed is open, centres go on evenly, and radii stay.
+    In added columns, centres are extrapolated linearly, and radii stay.
     """
     width = int(np.flatnonzero((disks.radius >= 0.0).any(axis=0)).max(initial=-1))
     if not 0 < width < columns:
@@ -130,7 +130,7 @@ def _open_out_to(disks: Disks, columns: int) -> Disks:
 
 @kernel
 def _off_centre(disks: Disks, p: Array, across: Array, along: Array, crossing: Array, off: Array) -> None:
-    """Write how far each ray crosses the opening's plane from the centre of the disk seen from its point, (n, 2) mm."""
+    """Write each ray's offset in the opening's plane from the disk centre seen from its point, (n, 2) mm."""
     for i in range(len(off)):
         cx, cy, radius = disk_at(disks, p[i, 0], p[i, 1], across[i], along[i])
         if radius > 0.0:
@@ -138,7 +138,7 @@ def _off_centre(disks: Disks, p: Array, across: Array, along: Array, crossing: A
 
 
 def fitted(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
-    """Return the aim with the lenslets' views and cell margins as wide as the rays need.
+    """Return the aim with views and cell margins as wide as the rays need.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def fitted(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
 
 
 def _above(values: Array, throughput: Array) -> float:
-    """Return the value above which a negligible share of the throughput lies; infinite values are left out."""
+    """Return the value exceeded by a negligible share of the throughput, ignoring infinite values."""
     known = np.isfinite(values)
     order = np.argsort(values[known])[::-1]
     above = np.cumsum(throughput[known][order])
@@ -166,7 +166,7 @@ def _above(values: Array, throughput: Array) -> float:
 
 
 def widened(disks: Disks, beyond: Array, throughput: Array, wide_radius: float) -> Disks:
-    """Return a table widened to hold rays outside it; wide open if too much light goes where it is closed.
+    """Return a table widened to hold rays outside it; wide open if too much light meets closed nodes.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def widened(disks: Disks, beyond: Array, throughput: Array, wide_radius: float) 
         Distance of each ray from the centre, in radii; inf where the table is closed.
     throughput : (n,) float64
     wide_radius : float, mm
-        Of the disk that every ray to the lens crosses.
+        Radius of the disk that every ray to the lens crosses.
     """
     if throughput[np.isinf(beyond)].sum() > 0.5 * ALLOWED * throughput.sum():
         return wide_open(disks, wide_radius)

@@ -1,9 +1,8 @@
-"""Sampling of ghosts by the light that each sequence brings, as a coarse trace finds it.
+"""Sampling of ghosts by the light of each sequence in a coarse trace.
 
-Light that leaves the camera past all that is in the scene counts little.
-
-The trace decides only how often a sequence is followed, never what light there is: each is drawn by every ray with some
-chance, and weighted by its inverse. So are the directions in which some leave their pixels anew.
+Light that misses everything in the scene counts little. The trace decides only the probability of each sequence, never
+the amount of light: every ray draws each sequence with some probability and is weighted by its inverse. The same holds
+for new directions at the pixels.
 """
 
 import math
@@ -40,61 +39,61 @@ from lfmesh.transport.tables.tables import AimTables, Tables
 Array = NDArray[np.float64]
 
 WITHIN_OPENING = 4
-"""Number of the intervals of the distance at the lens that lie in its opening, which may be small."""
+"""Number of radius intervals at the lens that lie in its opening, which may be small."""
 
 SHARE_OF_DISK, SHARE_AROUND = 0.1, 0.2
-"""Of the rays of a camera without an array, the share that goes anywhere on the disk at the lens; and the share of the
-light in a cell that is taken to come from those around it, which the few rays of a kind may have missed."""
+"""Share of rays to anywhere on the disk at the lens, for a camera without an array; share of a cell's or interval's
+light taken from its neighbours, as its few rays may have missed some."""
 
 SHARE_OF_HALF_SPHERE, LEAST_ANEW, MOST_ANEW = 0.2, 0.02, 0.5
-"""Of the packets that leave their pixels in new directions, the share that goes evenly over half of the sphere; and the
-least and the largest share that they have of all packets."""
+"""Share of packets with new directions that go uniformly over half of the sphere; least and largest share of these
+among all packets."""
 
 LEAST_TO_ARRAY = 0.1
-"""Least share of the new directions to anywhere on the array, and of the others."""
+"""Least share of new directions to anywhere on the array, and of the others."""
 
 SHARE_OF_EACH = 0.1
-"""Share of the chances that all sequences have alike: for what the few rays of a kind have missed."""
+"""Share of the probability that is equal for all sequences, as the few rays of a kind may have missed some."""
 
 SHARE_OF_RING, SHARE_OF_ALL = {True: 0.5, False: 0.0}, {True: 0.1, False: 0.2}
-"""By whether there is an array: share of the chances that goes by the light that sequences bring over all kinds of rays
-at the same distance from the axis at the lens, and over all kinds. Lenslets reflect light so widely that few rays of a
-kind come back to the lens; without an array a sequence may show a small pupil of its own, to few of the kinds."""
+"""Shares of the probability, with and without an array, that follow the light of sequences over all kinds of rays at
+the same distance from the axis at the lens, and over all kinds. Lenslets reflect light so widely that few rays of a
+kind return to the lens. Without an array, a sequence may show its own small pupil to only a few kinds."""
 
 
 LEAST_SHOWN = 0.02
-"""Least light of a ring at the lens, over that of the brightest, by which lenslets are chosen that show it."""
+"""Least light of a ring at the lens, relative to the brightest, for the choice of lenslets that show it."""
 
 MOST_SEARCHED = 4.0
-"""Largest distance, in pitches, from the chief ray of a pixel at which lenslets are looked for that show ghosts."""
+"""Largest search distance, in pitches, from the chief ray of a pixel for lenslets that show ghosts."""
 
 _kept: Kept[tuple[GhostTables, CoarseTrace] | None] = Kept()
 
 
 def ghost_tables(tables: Tables, boxes: Array | None, max_events: int) -> GhostTables | None:
-    """Return how ghosts are drawn; None where they are not followed by sequence.
+    """Return the sampling tables of ghosts; None if ghosts are not followed by sequence.
 
-    That is where a surface of the lens is none of revolution, or a thin lens, and where no light comes along any of the
-    sequences that `max_events` allows.
+    That is so if a lens surface is thin, rough, met by its mesh, or not a conic or even asphere, and if no sequence
+    allowed by `max_events` carries light.
 
     Parameters
     ----------
     tables : Tables
         With the aim.
     boxes : (targets, 2, 3) float64, mm, optional
-        Lowest and highest corners, world frame, of all that ghosts can show; left out where that is everywhere.
+        Lowest and highest corners, world frame, of everything that ghosts can show. Default: everywhere.
     max_events : int
         As in `Options`.
     """
     camera, own = tables.camera, [CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, BACK_FRAME]
-    # Where objects are does not matter to what gets out of the camera.
+    # The light that leaves the camera does not depend on the places of objects.
     key = digest_of(camera._replace(frames=camera.frames[np.ix_(own, own)]), tables.aim.exit, max_events)
     found = _kept.of(key, lambda: _traced(tables, max_events))
     return None if found is None else with_chances(tables, boxes, *found)
 
 
 def _traced(tables: Tables, max_events: int) -> tuple[GhostTables, CoarseTrace] | None:
-    """Return the sequences of a camera without chances, and what gets out along them; None as for `ghost_tables`."""
+    """Return a camera's sequences without probabilities, and their coarse trace; None as for `ghost_tables`."""
     lens = tables.lens
     known = (lens.surfaces["level"] == EXACT) & (lens.surfaces["kind"] == CONIC_AND_EVEN)
     if not known.all() or lens.interfaces.thin or lens.interfaces.rough:
@@ -110,7 +109,7 @@ def _traced(tables: Tables, max_events: int) -> tuple[GhostTables, CoarseTrace] 
 
 
 def with_chances(tables: Tables, boxes: Array | None, ghosts: GhostTables, trace: CoarseTrace) -> GhostTables:
-    """Return the tables with the chances of the sequences, by the light that meets anything in the scene.
+    """Return the tables with the sequences' probabilities, by light that meets anything in the scene.
 
     Parameters
     ----------
@@ -119,7 +118,7 @@ def with_chances(tables: Tables, boxes: Array | None, ghosts: GhostTables, trace
     ghosts : GhostTables
         The sequences.
     trace : CoarseTrace
-        Made of them.
+        Their trace.
     """
     counted = [meeting(tables, boxes, rays) for rays in trace[:3]]
     of_kinds, at_sines, to_array = counted
@@ -146,7 +145,7 @@ def with_chances(tables: Tables, boxes: Array | None, ghosts: GhostTables, trace
 
 
 def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: list[Itinerary]) -> GhostTables:
-    """Return the tables of sequences, from the sensor, with no chances yet."""
+    """Return the tables of sequences, from the sensor, without probabilities."""
     behind = [leg for leg in of.legs(image_path) if leg.part != LENS_LEG]
     to_lens = [leg for leg in of.legs(image_path.reverse) if leg.part != LENS_LEG]
     legs, first, from_pixel, anew = [*to_lens, *behind], [], [], []
@@ -187,7 +186,7 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
 
 
 def _where_from(tables: Tables) -> tuple[float, float]:
-    """Return z and largest distance from the axis, mm, of the plane that rays to the lens come from, camera frame."""
+    """Return z and radius, mm, of the plane of origin of rays to the lens, camera frame."""
     if tables.mla.present:
         move, half = tables.frames[MLA_FRAME, CAMERA_FRAME], tables.mla.lenslets.lattice.half_extent
     else:
@@ -198,27 +197,27 @@ def _where_from(tables: Tables) -> tuple[float, float]:
 
 
 def _opening(aim: AimTables) -> float:
-    """Return the distance from the axis, mm, that holds the lens's opening, and of which some is left outside."""
+    """Return a radius, mm, that holds the lens's opening but not the whole disk."""
     disks, within = aim.exit.opening.far, math.sqrt(0.5) * aim.exit.wide_radius
     seen = disks.radius > 0.0
     return min(float((np.abs(disks.middle) + disks.radius)[seen].max()), within) if seen.any() else within
 
 
 def _seen_by_sensor(tables: Tables, ghosts: GhostTables) -> float:
-    """Return about the projected solid angle, sr, in which the sensor sees the disk at the lens."""
+    """Return the approximate projected solid angle, sr, of the disk at the lens from the sensor."""
     return math.pi / (1.0 + ((ghosts.from_z - ghosts.plane_z) / tables.aim.exit.wide_radius) ** 2)
 
 
 def _drawn_anew(ghosts: GhostTables, light: Array, to_array: Array, of_others: float) -> GhostTables:
-    """Return the tables with the chances of the sequences whose packets leave their pixels in new directions.
+    """Return the tables with the probabilities of sequences with new directions.
 
     Parameters
     ----------
     ghosts : GhostTables
     light : (sequences, SINES) float64
-        Root mean square of the weights of rays at each interval of the sine.
+        Root mean square of the weights of rays in each interval of the sine.
     to_array : (sequences,) float64, sr
-        The same of rays to anywhere on the array, of weight and inverse density in projected solid angle together.
+        The same for rays to anywhere on the array, of weight times inverse density in projected solid angle.
     of_others : float, sr
         As `to_array`, for all other sequences together and rays over all of the lens.
     """
@@ -230,12 +229,12 @@ def _drawn_anew(ghosts: GhostTables, light: Array, to_array: Array, of_others: f
     chances = (1.0 - SHARE_OF_HALF_SPHERE) * own + SHARE_OF_HALF_SPHERE * projected
     squares = math.pi**2 * ((projected * light) ** 2 / chances).sum(axis=1)
     share_to_array = _share_to_array(squares.sum(), np.square(to_array).sum())
-    # Of the two ways to draw directions each counts by the inverse of its squares.
+    # Each of the two ways to draw directions counts by the inverse of its squares.
     inverse = share_to_array * _inverse(to_array**2) + (1.0 - share_to_array) * _inverse(squares)
     each = np.sqrt(_inverse(inverse))
     share = 1.0
     if not ghosts.anew.all():
-        # Where the coarse trace has found nothing, there may be little.
+        # There may be a little light even if the coarse trace has found none.
         both = float(each.sum()) + of_others
         share = float(np.clip(each.sum() / both if both > 0.0 else MOST_ANEW, LEAST_ANEW, MOST_ANEW))
     chance = (1.0 - SHARE_OF_EACH) * _shares(each, ghosts.anew) + SHARE_OF_EACH * _evenly(ghosts.anew)
@@ -243,34 +242,34 @@ def _drawn_anew(ghosts: GhostTables, light: Array, to_array: Array, of_others: f
 
 
 def _inverse(squares: Array) -> Array:
-    """Return the inverses of squares; 0 where the coarse trace has found nothing, so that it says nothing."""
+    """Return the inverses of squares; 0 if the coarse trace has found nothing."""
     return np.where(squares > 0.0, 1.0 / np.where(squares > 0.0, squares, 1.0), 0.0)
 
 
 def _share_to_array(at_sines: float, to_array: float) -> float:
-    """Return the share of new directions to anywhere on the array, from what squares of weights both ways bring."""
+    """Return the share of new directions to anywhere on the array, from both ways' squared weights."""
     both = at_sines + to_array
     return float(np.clip(at_sines / both if both > 0.0 else 0.5, LEAST_TO_ARRAY, 1.0 - LEAST_TO_ARRAY))
 
 
 def _shares(light: Array, those: NDArray[np.bool_]) -> Array:
-    """Return the share of some sequences in their light, (sequences,), and 0 of others."""
+    """Return selected sequences' shares of their light, (sequences,); 0 for the others."""
     found = np.where(those, light, 0.0)
     total = found.sum()
     return np.asarray(found / total) if total > 0.0 else _evenly(those)
 
 
 def _evenly(those: NDArray[np.bool_]) -> Array:
-    """Return equal shares of some sequences, and 0 of others."""
+    """Return equal shares for selected sequences, 0 for the others."""
     return np.where(those, 1.0 / max(int(those.sum()), 1), 0.0)
 
 
 def _cumulative(
     light: Array, of_all: Array, those: NDArray[np.bool_], from_pixel: NDArray[np.bool_], *, array: bool
 ) -> Array:
-    """Return the cumulative chances of some sequences for each kind of ray from the light that they bring.
+    """Return the cumulative probabilities of sequences for each kind of ray, from their light.
 
-    In the last row, for rays that do not come to the lens, those that begin at the pixel share all chances.
+    In the last row, for rays that do not reach the lens, sequences that start at the pixel share the whole probability.
 
     Parameters
     ----------
@@ -278,9 +277,9 @@ def _cumulative(
     of_all : (sequences,) float64
         Share of the light of all kinds.
     those : (sequences,) bool
-        The sequences that have a chance.
+        Sequences with a probability.
     from_pixel : (sequences,) bool
-        Those of them that begin at the pixel.
+        Sequences among them that start at the pixel.
     array : bool
         There is an array.
     """
@@ -293,30 +292,30 @@ def _cumulative(
 
 
 def _of_kinds(light: Array, of_all: Array) -> Array:
-    """Return the shares of the sequences in the light of each kind (kinds, sequences); `of_all` where it has none."""
+    """Return the sequences' shares of each kind's light (kinds, sequences); `of_all` for dark kinds."""
     total = light.sum(axis=1, keepdims=True)
     return np.where(total > 0.0, light / np.where(total > 0.0, total, 1.0), of_all)
 
 
 def _until(chances: Array) -> Array:
-    """Return the cumulative chances along the last axis, which are 1 in the end, or all 0."""
+    """Return cumulative probabilities along the last axis, up to 1 or all 0."""
     until = np.cumsum(chances, axis=-1)
     return np.ascontiguousarray(until / np.where(until[..., -1:] > 0.0, until[..., -1:], 1.0))
 
 
 def _areas(ghosts: GhostTables) -> Array:
-    """Return the share of each cell in the disk at the lens, (RADII, ANGLES)."""
+    """Return each cell's share of the disk at the lens, (RADII, ANGLES)."""
     edges = np.arccos(1.0 - 2.0 * np.arange(ANGLES + 1) / ANGLES)
     return np.asarray(np.outer(np.diff(ghosts.rings) / ghosts.rings[-1], np.diff(edges) / edges[-1]))
 
 
 def _cells(light: Array, area: Array) -> Array:
-    """Return the cumulative chances of the cells at the lens for each height, (HEIGHTS, RADII · ANGLES).
+    """Return the cumulative probabilities of the cells at the lens by height, (HEIGHTS, RADII · ANGLES).
 
     Parameters
     ----------
     light : (RADII, HEIGHTS, ANGLES) float64
-        Of all sequences.
+        Light of all sequences.
     area : (RADII, ANGLES) float64
         Shares of the disk.
     """
@@ -330,10 +329,10 @@ def _cells(light: Array, area: Array) -> Array:
 
 
 def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
-    """Return where the packets of ghosts are aimed: at where on the lens they come from, as the coarse trace has found.
+    """Return the aim of ghost packets, at the places on the lens where the coarse trace has found ghosts.
 
-    Without an array these are the cells at the lens. Through an array rays go to the lenslets that show the disk from
-    which ghosts come, wider than the opening, each by the light that comes from the ring that it shows.
+    Without an array these are the cells at the lens. With an array, rays go to the lenslets that show the disk of the
+    ghosts, wider than the opening, each weighted by the light of the ring that it shows.
 
     Parameters
     ----------

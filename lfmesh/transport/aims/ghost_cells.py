@@ -1,8 +1,8 @@
-"""Directions to where on the lens ghosts come from, for a camera without an array.
+"""Directions to the origins of ghosts on the lens, for a camera without an array.
 
-A ghost shows a pixel a pupil of its own, often small and far beside that of the image path. So the disk at the lens is
-divided in cells, as seen from the axis and the pixel, and a ray goes to a cell with the chance that a coarse trace has
-found ghosts to come from there, and to a uniform point of it. Other rays go to the opening of the image path.
+Each ghost has its own pupil for a pixel, often small and far from that of the image path. The disk at the lens is
+therefore divided into cells, as seen from the axis and the pixel. Cells are drawn by the light of ghosts in a coarse
+trace; the ray goes to a uniform point of the cell. Other rays go to the opening of the image path.
 """
 
 from typing import Any
@@ -17,24 +17,23 @@ from lfmesh.transport.sequences.ghosts import ANGLES, interval_of_angle, interva
 from lfmesh.transport.tables.tables import Opening
 
 SHARE_OF_OPENING = 0.5
-"""Share of the rays to the opening, from a point that sees it."""
+"""Share of rays to the opening, from a point that sees it."""
 
 
 @inlined
 def share_of_ghost_cells(ghosts: Any, opening: Opening, p: Vector) -> float:
-    """Return the share of rays from a point that go to cells; 0 where ghosts are not aimed at.
+    """Return the share of rays from a point that go to cells; 0 without ghosts.
 
-    Many ghosts come through the opening of the image path, which the coarse trace may have met by chance alone where it
-    is small.
+    Many ghosts come through the opening of the image path. If it is small, the coarse trace may hit it only by chance.
 
     Parameters
     ----------
     ghosts : GhostTables or None
-        None: numba compiles nothing of it.
+        None: numba skips this code.
     opening : Opening
         As seen from the sensor.
     p : (3,) float, mm
-        The point, camera frame.
+        Point, camera frame.
     """
     if ghosts is None:
         return 0.0
@@ -43,15 +42,15 @@ def share_of_ghost_cells(ghosts: Any, opening: Opening, p: Vector) -> float:
 
 @inlined
 def toward_ghost_cell(ghosts: Any, p: Vector, numbers: Vector) -> Vector:
-    """Return a direction from a point to a uniform point of a cell at the lens, drawn by its chance.
+    """Return a direction from a point to a uniform point of a randomly drawn cell at the lens.
 
     Parameters
     ----------
     ghosts : GhostTables or None
     p : (3,) float, mm
-        The point, camera frame, behind the disk at the lens.
+        Point, camera frame, behind the disk at the lens.
     numbers : (3,) float
-        Random numbers, uniform in [0, 1): of the cell, and of the point there.
+        Random numbers, uniform in [0, 1): for the cell, and for the point.
     """
     if ghosts is None:
         return 0.0, 0.0, 1.0
@@ -59,7 +58,7 @@ def toward_ghost_cell(ghosts: Any, p: Vector, numbers: Vector) -> Vector:
     until = ghosts.cells[interval_of_height(ghosts, x * x + y * y)]
     cell = drawn_by(until, choice)
     before = until[cell - 1] if cell > 0 else 0.0
-    # What is left of the number decides on which side of the meridian the point lies.
+    # The rest of the number decides the side of the meridian.
     side = 1.0 if choice - before < 0.5 * (until[cell] - before) else -1.0
     ring, angle = cell // ANGLES, cell % ANGLES
     r = np.sqrt(ghosts.rings[ring] + u * (ghosts.rings[ring + 1] - ghosts.rings[ring]))
@@ -71,7 +70,7 @@ def toward_ghost_cell(ghosts: Any, p: Vector, numbers: Vector) -> Vector:
 
 @inlined
 def ghost_cell_density(ghosts: Any, p: Vector, d: Vector) -> float:
-    """Return the density, 1/sr, with which `toward_ghost_cell` draws a direction from a point.
+    """Return the density, 1/sr, of a direction drawn by `toward_ghost_cell`.
 
     Parameters
     ----------
@@ -101,5 +100,5 @@ def ghost_cell_density(ghosts: Any, p: Vector, d: Vector) -> float:
 
 @inlined
 def _border(interval: int) -> float:
-    """Return the angle, rad, at which an interval of angles begins."""
+    """Return the angle, rad, where an interval of angles begins."""
     return np.arccos(max(1.0 - 2.0 * interval / ANGLES, -1.0))

@@ -1,6 +1,6 @@
-"""Coarse trace of ghosts: which rays from the sensor get out of the camera along which sequence, and how bright.
+"""Coarse trace of ghosts: weights of rays from the sensor that leave the camera along each sequence.
 
-It is made once for a camera. What of its light meets anything in a scene decides how often a sequence is followed there
+It is made once per camera. Its light that meets anything in a scene decides the probability of each sequence there
 (`ghost_aim`).
 """
 
@@ -19,29 +19,28 @@ from lfmesh.transport.tables.tables import Tables
 Array = NDArray[np.float64]
 
 RAYS_OF_A_KIND, RAYS_OF_A_SINE = 16, 256
-"""Rays of the coarse trace for each kind of ray that is told apart, and in each interval of the sine of the angle at
-which they leave the sensor."""
+"""Rays of the coarse trace per kind of ray, and per interval of the sine of the angle at the sensor."""
 
 SHARE_PAST_ALL = 0.1
-"""Factor on the weights of rays that meet nothing in the scene: the few rays of a kind that meet something, alone, say
-too little of how often others do."""
+"""Factor on the weights of rays that miss everything in the scene, as the few rays of a kind that meet something say
+too little about how often others do."""
 
 MOST_BOXES = 16
-"""Number of targets up to which rays are held against the box of each, and not against that of all."""
+"""Largest number of targets with a box test each; beyond it, rays are tested against a common box."""
 
 
 class Passing(NamedTuple):
-    """Rays that get out of the camera along sequences, each of some rays along each of some sequences.
+    """Rays that leave the camera, of those sent along each of several sequences.
 
     Attributes
     ----------
     rays : int
-        Number of those that were sent along each sequence.
+        Number of rays sent along each sequence.
     sequence, ray : (n,) int64
-        The sequence, and the number of the ray.
+        Sequence, and ray number.
     weight : (n,) float64
     p, d : (n, 3) float64
-        Where and in which direction it leaves the lens, mm, camera frame.
+        Exit point on the lens, mm, and direction, camera frame.
     """
 
     rays: int
@@ -53,14 +52,14 @@ class Passing(NamedTuple):
 
 
 class CoarseTrace(NamedTuple):
-    """Rays that get out of a camera, of those of each kind to the lens, of each sine, and to anywhere on the array.
+    """Rays that leave a camera: of each kind at the lens, of each sine, and to anywhere on the array.
 
     Attributes
     ----------
     of_kinds, at_sines, to_array : Passing
-        The last two along sequences whose packets leave their pixels in new directions.
+        The last two along sequences that start in new directions at the pixel.
     solid_angles : (rays to the array,) float64
-        Inverse densities of the last ones, sr, as projected.
+        Inverse densities of the last, sr of projected solid angle.
     """
 
     of_kinds: Passing
@@ -77,7 +76,7 @@ def coarse_trace(tables: Tables, ghosts: GhostTables) -> CoarseTrace:
     tables : Tables
         With the aim.
     ghosts : GhostTables
-        Without chances.
+        Without probabilities.
     """
     of_kinds = _passing(tables, ghosts, ~ghosts.anew, *_rays(ghosts))
     if not ghosts.anew.any():
@@ -89,15 +88,15 @@ def coarse_trace(tables: Tables, ghosts: GhostTables) -> CoarseTrace:
 
 
 def _passing(tables: Tables, ghosts: GhostTables, those: NDArray[np.bool_], p: Array, d: Array) -> Passing:
-    """Return which rays get out of the camera along some of the sequences.
+    """Return the rays that leave the camera along the selected sequences.
 
     Parameters
     ----------
     those : (sequences,) bool
-        Whether a sequence is followed.
+        Selected sequences.
     p, d : (n, 3) float64
-        Position, mm, and unit direction, camera frame: behind the lens and towards it, where they come on the image
-        path; from the sensor, where the sequences' packets leave it in new directions.
+        Position, mm, and unit direction, camera frame: behind the lens and towards it, on the image path; from the
+        sensor, for sequences with new directions.
     """
     turning = ghosts.from_pixel & ~ghosts.anew & those
     as_given = np.arange(len(p)), _starts(p, d)
@@ -116,13 +115,13 @@ def _passing(tables: Tables, ghosts: GhostTables, those: NDArray[np.bool_], p: A
 
 
 def meeting(tables: Tables, boxes: Array | None, rays: Passing) -> NDArray[np.bool_]:
-    """Tell which rays meet one of some boxes.
+    """Tell for each ray whether it meets any box.
 
     Parameters
     ----------
     tables : Tables
     boxes : (n, 2, 3) float64, mm, optional
-        Lowest and highest corners, world frame; left out, all rays do.
+        Lowest and highest corners, world frame; if omitted, all rays do.
     rays : Passing
     """
     if boxes is None:
@@ -135,7 +134,7 @@ def meeting(tables: Tables, boxes: Array | None, rays: Passing) -> NDArray[np.bo
     with np.errstate(divide="ignore", invalid="ignore"):
         for low, high in boxes:
             one, other = (low - p) / d, (high - p) / d
-            # A ray along a face of a box is none of it, 0 / 0.
+            # A ray along a face of a box, with 0 / 0, counts as missing it.
             begins, ends = np.fmin(one, other).max(axis=1), np.fmax(one, other).min(axis=1)
             meets |= (begins <= ends) & (ends > 0.0)
     return meets
@@ -144,18 +143,18 @@ def meeting(tables: Tables, boxes: Array | None, rays: Passing) -> NDArray[np.bo
 def rms_weights(
     rays: Passing, counted: NDArray[np.bool_], sequences: int, of_a_kind: int, factors: Array | float = 1.0
 ) -> Array:
-    """Return the root mean square of the weights of rays of each kind along each sequence, (sequences, kinds).
+    """Return the root mean square weight of each kind of ray along each sequence, (sequences, kinds).
 
     Parameters
     ----------
     rays : Passing
     counted : (n,) bool
-        Which of them count in full; of others `SHARE_PAST_ALL`.
+        Rays that count in full; the others count by `SHARE_PAST_ALL`.
     sequences : int
     of_a_kind : int
-        Number of rays of a kind, which follow one another.
+        Number of consecutive rays per kind.
     factors : (rays,) float64, optional
-        On the weights.
+        Factors on the weights.
     """
     if rays.rays == 0:
         return np.zeros((sequences, 0))
@@ -167,7 +166,7 @@ def rms_weights(
 
 
 def _turned_back_at_sensor(tables: Tables, ghosts: GhostTables, p: Array, d: Array) -> tuple[NDArray[np.int64], Array]:
-    """Take rays that come to the lens back to their pixels; return which get there, and these as they leave again."""
+    """Trace rays at the lens back to their pixels; return the arrivals' indices and their reversed rays."""
     t = (ghosts.plane_z - p[:, 2]) / d[:, 2]
     ends = _follow(tables, ghosts, _starts(p + t[:, None] * d, -d), ghosts.to_lens, ghosts.first[0])
     passing = np.flatnonzero(ends[RAY_ENDED] == 0.0)
@@ -179,7 +178,7 @@ def _turned_back_at_sensor(tables: Tables, ghosts: GhostTables, p: Array, d: Arr
 
 
 def _starts(p: Array, d: Array) -> Array:
-    """Return rays of weight 1 as `follow_rays` takes them."""
+    """Return rays of weight 1 in the form of `follow_rays`."""
     rays = np.ones((7, len(p)))
     rays[:3], rays[3:6] = p.T, d.T
     return rays
@@ -192,7 +191,7 @@ def _follow(tables: Tables, ghosts: GhostTables, rays: Array, first: int, last: 
 
 
 def _rays(ghosts: GhostTables) -> tuple[Array, Array]:
-    """Return some rays of each kind to the lens: positions and directions (kinds · RAYS_OF_A_KIND, 3), camera frame."""
+    """Return rays of each kind to the lens: positions and directions (kinds · RAYS_OF_A_KIND, 3), camera frame."""
     shape = (RADII, HEIGHTS, ANGLES, RAYS_OF_A_KIND)
     draw = np.random.default_rng(0)
     at = np.indices(shape)[:3] + draw.random((3, *shape))
@@ -207,7 +206,7 @@ def _rays(ghosts: GhostTables) -> tuple[Array, Array]:
 
 
 def _rays_from_sensor(tables: Tables) -> tuple[Array, Array]:
-    """Return some rays of each sine from the sensor: positions and directions (SINES · RAYS_OF_A_SINE, 3)."""
+    """Return rays of each sine from the sensor: positions and directions (SINES · RAYS_OF_A_SINE, 3)."""
     draw = np.random.default_rng(1)
     move, count = tables.frames[SENSOR_FRAME, CAMERA_FRAME], SINES * RAYS_OF_A_SINE
     at = _on_sensor(tables, draw.uniform(-1.0, 1.0, (count, 2)))
@@ -219,7 +218,7 @@ def _rays_from_sensor(tables: Tables) -> tuple[Array, Array]:
 
 
 def _rays_to_array(tables: Tables) -> tuple[Array, Array, Array]:
-    """Return some rays from the sensor to the array, as above, with their inverse densities (n,), sr, as projected."""
+    """Return rays from the sensor to the array likewise, and inverse densities (n,), sr of projected solid angle."""
     draw, lenslets, count = np.random.default_rng(2), tables.mla.lenslets, SINES * RAYS_OF_A_SINE
     half = np.array(lenslets.lattice.half_extent)
     at = _on_sensor(tables, draw.uniform(-1.0, 1.0, (count, 2)))
@@ -234,7 +233,7 @@ def _rays_to_array(tables: Tables) -> tuple[Array, Array, Array]:
 
 
 def _on_sensor(tables: Tables, at: Array) -> Array:
-    """Return points of the sensor (n, 3), sensor frame, from places (n, 2) between −1 and 1."""
+    """Return points of the sensor (n, 3), sensor frame, from coordinates (n, 2) between −1 and 1."""
     sensor = tables.sensor
     return np.column_stack([0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows]) * at, np.zeros(len(at))])
 

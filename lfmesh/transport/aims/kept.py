@@ -1,4 +1,4 @@
-"""Cache of findings, as about a camera: renders with other lamps, a white image or a study ask for the same again."""
+"""Cache of results that other renders or studies need again, such as those about a camera."""
 
 import hashlib
 import threading
@@ -13,25 +13,25 @@ from lfmesh.scene.model import Model
 T = TypeVar("T")
 
 KEPT = 8
-"""Number of findings that are cached, the latest ones asked for."""
+"""Number of cached results, the most recently used ones."""
 
 
 class Kept(Generic[T]):
-    """Cache of one kind of finding, by what it follows from, or by a digest of that."""
+    """Cache of one kind of result, keyed by its inputs or their digest."""
 
     def __init__(self) -> None:
         self._found: OrderedDict[Hashable, T] = OrderedDict()
         self._access = threading.Lock()
 
     def of(self, key: Hashable, find: Callable[[], T]) -> T:
-        """Return what was found under a key, or find it.
+        """Return the result cached under a key, or compute it.
 
         Parameters
         ----------
         key : hashable
-            Of what is large: see `digest_of`.
+            For large inputs, see `digest_of`.
         find : callable
-            Returns the finding; called without arguments.
+            Returns the result; called without arguments.
         """
         with self._access:
             if key in self._found:
@@ -46,7 +46,7 @@ class Kept(Generic[T]):
 
 
 def digest_of(*values: Any) -> bytes:
-    """Return a hash of arrays, models, tuples of these, and values that are fully given by their `repr`.
+    """Return a hash of arrays, models, tuples of these, and values fully described by their `repr`.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Aim through lenslets that diffract: the point from which light that is not diffracted would come the same way.
+"""Aim through lenslets that diffract, by the point that would send undiffracted light the same way.
 
-The change of direction is drawn before the lenslet is chosen. With it a ray reaches the opening where one from another
-point of the sensor would without. That point lies off the ray's own by the difference of two ways to the lenslet: in
-the direction before the change, and in the direction of the opening's centre. So lenslets are chosen as that point sees
-them, whatever the change, and next to all rays reach the opening, with the weights that they have without diffraction.
+The deflection is drawn before the lenslet. A deflected ray reaches the opening as an undeflected ray from another point
+of the sensor does. That point is displaced by the difference of two paths to the lenslet: along the direction before
+the deflection, and along that of the opening's centre. Lenslets are chosen as that point sees them, so nearly all rays
+reach the opening, with the weights of rays without diffraction.
 """
 
 from typing import Any
@@ -20,35 +20,35 @@ from lfmesh.transport.tables.tables import LensletAim
 Array = NDArray[np.float64]
 
 SEARCH_AFTER_KICK, FURTHEST_SEARCH = 2.0, 5.0
-"""Factor on the distance at which lenslets are looked for, as changes of direction widen their views, and that for the
-widest ones."""
+"""Factor on the search distance for lenslets, as deflections widen their views, and its value for the widest views."""
 
 SHIFT_IN_REACH, GROWTH_IN_REACH = 0.5, 1.25
-"""Shift in pitches, where its chief ray meets the array, of the point that needs no change of direction, and growth of
-the views, up to which a sample takes the lenslets that were listed for its pixel. The few samples beyond list their
-own, which takes far longer."""
+"""Limits up to which a sample uses its pixel's list of lenslets: the shift of the undeflected point, in pitches at the
+chief ray's intersection with the array, and the growth of the views. The few samples beyond list their own lenslets,
+which takes far longer."""
 
 MOST_GROWTH = 1.02
-"""Growth of the views above which changes of direction are far, so that rays go anywhere, too, and the proof of the aim
-leaves them out. Where lenslets are some twenty wavelengths wide, each tenth ray is, and each hundredth one is turned so
-far that the opening is seen from nowhere, or in a view that no factor describes."""
+"""Growth of the views above which deflections are large: some rays go anywhere, and the proof of the aim ignores them.
+For lenslets some twenty wavelengths wide, that is one ray in ten. For one in a hundred the opening is not seen at all,
+or in a view that no factor describes."""
 
 WIDE_SHARE_BY_GROWTH, MOST_WIDE_SHARE = 2.5, 0.5
-"""Share of rays that go anywhere among samples with a far change of direction, over the growth beyond 1, and the most.
+"""Share of rays that go anywhere among samples with a large deflection, per growth beyond 1, and its maximum.
 
 The views miss some thousandths of the light at a growth of 1.1, and some hundredths at 1.5. Rays that go anywhere weigh
-some sixty times as much as those to the views, over this share: fewer would gather that light in bright pixels."""
+about sixty times as much as rays to the views, over this share: a smaller share would gather that light in bright
+pixels."""
 
 
 def most_listed_after_kick(aim: LensletAim) -> int:
-    """Return the largest number of lenslets that may be listed for a pixel, and behind them for a sample."""
+    """Return the largest number of lenslets listed for a pixel, plus those for a sample."""
     of_pixel = most_listed(aim, SEARCH_AFTER_KICK * aim.search + SHIFT_IN_REACH)
     return of_pixel + most_listed(aim, FURTHEST_SEARCH * aim.search)
 
 
 @inlined
 def list_cells_of_pixel(apertures: Any, array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array) -> int:
-    """List the lenslets by which a pixel's points may see the opening, after changes of direction within reach as well.
+    """List the lenslets that may show the opening to a pixel, also after deflections within reach.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def list_cells_of_pixel(apertures: Any, array: ArraySeen, p: Vector, extent: tup
     search = array.aim.search
     if apertures is not None:
         lateral += _shift_in_reach(array, p)
-        # A difference in depth widens the views that are listed by this factor, and a little more.
+        # A difference in depth widens the listed views by this factor, and a little more.
         deep += (GROWTH_IN_REACH - 1.0) * (abs(p[2] - array.aim.apex_z) + deep)
         search = SEARCH_AFTER_KICK * search + SHIFT_IN_REACH
     return list_cells(array, p, (lateral, deep), search, near)
@@ -68,9 +68,9 @@ def list_cells_of_pixel(apertures: Any, array: ArraySeen, p: Vector, extent: tup
 
 @inlined
 def _shift_in_reach(array: ArraySeen, p: Vector) -> float:
-    """Return the largest shift, mm, of the point that needs no change of direction, for which lenslets are listed.
+    """Return the largest shift, mm, of the undeflected point for which lenslets are listed.
 
-    It moves the place where the chief ray meets the array by `SHIFT_IN_REACH` pitches.
+    It moves the chief ray's intersection with the array by `SHIFT_IN_REACH` pitches.
     """
     aim = array.aim
     return SHIFT_IN_REACH * array.mla.lenslets.lattice.pitch * (1.0 + aim.pupil_vergence * abs(p[2] - aim.apex_z))
@@ -81,15 +81,15 @@ def shown_after_kick(
     apertures: Any, array: ArraySeen, near: Array, listed: int, cells: NDArray[np.int64], p: Vector,
     kick: tuple[float, float],
 ) -> tuple[Shown, float]:  # fmt: skip
-    """Return the lenslets that show the opening to a point after a change of direction, and the growth of their views.
+    """Return the lenslets that show a point the opening after a deflection, and their views' growth.
 
     Parameters
     ----------
     apertures : Apertures or None
-        None: the direction does not change.
+        None: no deflection.
     array : ArraySeen
     near, listed
-        From `list_cells_of_pixel`; those of the point are listed behind them where they are out of reach.
+        From `list_cells_of_pixel`; beyond its reach, the point's own lenslets are listed behind these.
     cells : (n,) int64
         As for `cells_that_show`.
     p : (3,) float, mm
@@ -108,7 +108,7 @@ def shown_after_kick(
 
 @kernel
 def list_cells_after_kick(array: ArraySeen, growth: float, seen_from: Vector, near: Array) -> int:
-    """List the lenslets by which a point of the sensor may see the opening after a change of direction.
+    """List the lenslets that may show a point the opening after a deflection.
 
     Parameters
     ----------
@@ -127,10 +127,10 @@ def list_cells_after_kick(array: ArraySeen, growth: float, seen_from: Vector, ne
 
 @inlined
 def without_kick(array: ArraySeen, p: Vector, kick: tuple[float, float]) -> tuple[float, Vector]:
-    """Return by what factor a change of direction widens the views of lenslets, and the point that sees them without.
+    """Return a deflection's factor on the width of lenslet views, and the point that sees them without it.
 
-    The factor is 0 where the point does not see the opening's centre. Otherwise it is the ratio of the changes of slope
-    with direction cosine before and after, as the light of all of the opening is moved by the same direction cosines.
+    The factor is 0 if the point does not see the opening's centre. Otherwise it is the ratio of the derivatives of
+    slope by direction cosine before and after, as a deflection shifts all light by the same direction cosines.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def without_kick(array: ArraySeen, p: Vector, kick: tuple[float, float]) -> tupl
     """
     aim, (air, plate, _) = array.aim, path_to_apexes(array.mla, p[2])
     over, kappa = 1.0 / abs(p[2] - aim.apex_z), aim.pupil_vergence
-    # The slope of the chief ray.
+    # Slope of the chief ray.
     sx, sy = kappa * over * (aim.pupil_x - p[0]) / (kappa + over), kappa * over * (aim.pupil_y - p[1]) / (kappa + over)
     after2 = 1.0 / (1.0 + sx * sx + sy * sy)
     scale = np.sqrt(after2)
@@ -160,9 +160,9 @@ def without_kick(array: ArraySeen, p: Vector, kick: tuple[float, float]) -> tupl
 
 @inlined
 def wide_share_after_kick(growth: float) -> float:
-    """Return the share of rays that go anywhere among samples with a change of direction; 0 unless that is far.
+    """Return the share of rays that go anywhere after a deflection; 0 unless it is large.
 
-    After a far one light comes from elsewhere, too: see `MOST_GROWTH`.
+    After a large deflection, light also comes from elsewhere: see `MOST_GROWTH`.
 
     Parameters
     ----------
@@ -176,6 +176,6 @@ def wide_share_after_kick(growth: float) -> float:
 
 @inlined
 def _shift(cx: float, cy: float, air: float, plate: float, glass: float) -> float:
-    """Return the lateral shift over air and glass, mm, of a ray with the given direction cosines, over these."""
+    """Return a ray's lateral shift over air and glass, mm, over its direction cosines."""
     square = cx * cx + cy * cy
     return air / np.sqrt(1.0 - square) + plate / np.sqrt(glass * glass - square)

@@ -1,12 +1,12 @@
-"""Directions from a point of the sensor through the lenslets that show it the lens's opening, and their density.
+"""Directions from the sensor through the lenslets that show the lens's opening, and their density.
 
-`lenslet_view` measures beforehand what each lenslet shows; here the directions are drawn. Most rays go to a cell of a
-lenslet that shows the opening; where several do, each is chosen by the root mean square of the light that lenslets show
-at that distance from the centre of their view. They alone estimate directions that meet such a cell, so that they all
-bring the same in an evenly lit pixel. All other directions are estimated by the mixture of margin rays, which go to
-cells with a margin of all lenslets that may show the opening, and of rays that go anywhere: ghosts and stray light come
-that way. Whether a direction meets a face is computed exactly: the face is met where the ray in the glass crosses the
-sphere, and a ray aimed at a point of the face reaches it through the plate.
+`lenslet_view` measures the views through lenslets beforehand; this module draws the directions. Most rays go to a cell
+of a lenslet that shows the opening, chosen among several by the root mean square of the light that lenslets show at
+that distance from the centre of their view. These rays alone estimate directions that meet such a cell, so they all
+carry equal light in an evenly lit pixel. A mixture estimates all other directions, with ghosts and stray light: margin
+rays, to cells with a margin of all lenslets that may show the opening, and rays that go anywhere. Intersections with
+faces are exact: the ray in the glass must cross the sphere, and a ray aimed at a point of the face reaches it through
+the plate.
 """
 
 from typing import Any, NamedTuple
@@ -39,35 +39,35 @@ from lfmesh.transport.tables.tables import LensletAim, MlaTables, SensorTables
 Array = NDArray[np.float64]
 
 MARGIN_SHARE = 0.02
-"""Share of the rays through lenslets that go to all of those that may show the opening, by their solid angles."""
+"""Share of rays through lenslets that go to any lenslet that may show the opening, by solid angle."""
 
 FEW = 2.0
-"""Expected number of a pixel's aimed rays below which chance says of each ray whether it is one."""
+"""Expected number of a pixel's aimed rays below which each ray is aimed or not at random."""
 
 NUMBER_OF_UNAIMED = -1
-"""Number of the child of a pixel's key from which the number of its other rays is drawn; no sample has it."""
+"""Number of the child of a pixel's key that draws the number of its other rays; no sample uses it."""
 
 CELL_U, CELL_V, PIXEL_U, PIXEL_V, WHICH_CELL, DISCRETE = 0, 1, 2, 3, 4, 5
-"""Dimensions of a path's starting numbers. The point of the lenslet gets the first two, which are distributed the most
-evenly: where the image is in focus, sharp detail in the scene is sharp over the lenslet."""
+"""Dimensions of a path's starting numbers. The point of the lenslet gets the first two, the most evenly distributed:
+where the image is in focus, sharp detail in the scene is sharp over the lenslet."""
 
 LISTED = 11
-"""Number of values of a lenslet in the list of those that may show the opening, see `list_cells`."""
+"""Number of values per lenslet in the list of `list_cells`."""
 
 SOLID_ANGLE, CHANCE = 8, 9
-"""Two of these values: the relative probabilities with which margin rays, by solid angle, and all others choose the
-lenslet, by the light that it shows too."""
+"""Two of these values: the relative probabilities of the lenslet for margin rays, by solid angle, and for all others,
+also by the light that it shows."""
 
 KIND = 10
-"""The last of them: the type of a lenslet that is no sphere."""
+"""Last of these values: the type of a non-spherical lenslet."""
 
 ALIKE = 3.5
-"""Distance from the chief ray, in pitches, up to which all lenslets are taken to have the same solid angle."""
+"""Distance from the chief ray, in pitches, up to which lenslets are taken to have equal solid angles."""
 
 _TINY = float(np.finfo(np.float64).tiny)
 
 HALF_DIAGONAL = 0.72
-"""Half diagonal of a pixel, in its width, with a margin: largest distance from its centre at which a path starts."""
+"""Half diagonal of a pixel, in pixel widths, with a margin: largest distance of a path's start from its centre."""
 
 
 Numbers = tuple[float, float, float, float, float, float]
@@ -75,7 +75,7 @@ Numbers = tuple[float, float, float, float, float, float]
 
 
 class ArraySeen(NamedTuple):
-    """The array as the aim sees it.
+    """Microlens array and its aim.
 
     Attributes
     ----------
@@ -100,12 +100,12 @@ class Shown(NamedTuple):
     cells : (n,) int64
         Indices in that list.
     number : int
-        Number of these.
+        Number of indices.
     by_light, by_angle : float
-        Sums of their chances and of their solid angles.
+        Sums of the chances and of the solid angles.
     on_cells, on_wider : float
-        Density, 1/mm², of rays that choose by chance on a lenslet's cell, over its chance, and of margin rays on the
-        cell with its margin, over its solid angle.
+        Density, 1/mm², on a lenslet's cell of rays that choose by light, over its chance; and on the cell with its
+        margin of margin rays, over its solid angle.
     """
 
     near: Array
@@ -118,16 +118,16 @@ class Shown(NamedTuple):
 
 
 def most_listed(aim: LensletAim, search: float) -> int:
-    """Return the largest number of lenslets that `list_cells` may list, with its `search`."""
+    """Return the largest number of lenslets that `list_cells` may list for a `search`."""
     most = (2.0 * search + 1.0) * (2.0 * search / ROW_SPACING + 1.0)
     return int(min(most, len(aim.slope_radius2)))
 
 
 @inlined
 def pixel_extent(sensor: SensorTables, frames: Array) -> tuple[float, float]:
-    """Return the largest distance of a pixel's points from its centre, and their largest difference in z, mm.
+    """Return the largest distance of a pixel's points from its centre, and their difference in z, mm.
 
-    The latter is in the array's frame, against which the sensor may be tilted.
+    The latter is in the frame of the array; the sensor may be tilted against it.
     """
     nx, ny, _ = move_direction(frames, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, 1.0)
     half = HALF_DIAGONAL * sensor.pixel
@@ -136,10 +136,10 @@ def pixel_extent(sensor: SensorTables, frames: Array) -> tuple[float, float]:
 
 @pasted
 def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], search: float, near: Array) -> int:
-    """List the lenslets that may show the lens's opening to points of a pixel.
+    """List the lenslets that may show a pixel the lens's opening.
 
-    A lenslet at c shows it to the point x at a distance d where |c − x − s d| ≤ ρ d, s being the middle of its view and
-    ρ its radius. Over the pixel x and d change by `extent`, so both sides do by no more than that and (|s| + ρ) times
+    A lenslet at c shows it to the point x at a distance d if |c − x − s d| ≤ ρ d, where s is the middle of its view and
+    ρ its radius. Over the pixel, x and d change by `extent`, so both sides change by at most that and (|s| + ρ) times
     the latter.
 
     Parameters
@@ -150,11 +150,11 @@ def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], search:
     extent : (2,) float, mm
         See `pixel_extent`.
     search : float
-        Distance from the pixel's chief ray at which lenslets are looked for, in pitches.
+        Search distance around the pixel's chief ray, in pitches.
     near : (n, LISTED) float64
-        Filled with a row for each lenslet: centre (0, 1), centre of the opening that it sees (2, 3) and the square of
-        its radius (4), in slopes, curvature (5), decentre of the apex (6, 7), relative solid angle (8), a place for
-        `cells_that_show` (9), and the type (10) where lenslets are no spheres.
+        Filled with a row for each lenslet: centre (0, 1), centre of its view of the opening (2, 3) and squared radius
+        (4), in slopes, curvature (5), decentre of the apex (6, 7), relative solid angle (8), a place for
+        `cells_that_show` (9), and the type (10) if lenslets are not spherical.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], search:
     over = 1.0 / abs(z - aim.apex_z)
     kappa = aim.pupil_vergence
     lateral, deep = extent
-    # Where the chief ray meets the array.
+    # Intersection of the chief ray with the array.
     chief_x = (kappa * aim.pupil_x + over * x) / (kappa + over)
     chief_y = (kappa * aim.pupil_y + over * y) / (kappa + over)
     distance = search * lattice.pitch
@@ -201,27 +201,27 @@ def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], search:
 
 @inlined
 def unaimed_share(wide: float) -> float:
-    """Return the share of a pixel's rays that go anywhere, or to lenslets by their solid angles.
+    """Return the share of a pixel's rays that go anywhere, or to lenslets by solid angle.
 
     Parameters
     ----------
     wide : float
-        Share of those that go anywhere.
+        Share of rays that go anywhere.
     """
     return wide + (1.0 - wide) * MARGIN_SHARE
 
 
 @pasted
 def aimed_rays(share: float, samples: int, key: np.uint64) -> tuple[int, float]:
-    """Return how many of a pixel's samples are aimed by the light that lenslets show, and the weight of each of them.
+    """Return the number of a pixel's samples aimed by the lenslets' light, and the weight of each.
 
-    Their number is its expected value rounded up or down at random, and their weight its inverse relative to that, so
-    that they all bring the same in an evenly lit pixel. The number −1 stands for chance.
+    The number is its expected value rounded up or down at random. The weight is the ratio of the two, so that all
+    samples carry equal light in an evenly lit pixel. −1: each sample decides at random.
 
     Parameters
     ----------
     share : float
-        Of samples that are not.
+        Share of the other samples.
     samples : int
     key : uint64
         Key of the pixel in its replicate.
@@ -237,26 +237,26 @@ def aimed_rays(share: float, samples: int, key: np.uint64) -> tuple[int, float]:
 def aimed_through_array(
     array: ArraySeen, shown: Shown, wide: float, normal: Vector, p: Vector, numbers: Numbers, far: bool
 ) -> tuple[float, float, float, float]:
-    """Return a direction (array frame) from a point of the sensor, and cos θ over its density among a pixel's samples.
+    """Return a direction (array frame) from the sensor, and cos θ over its density among a pixel's samples.
 
-    From a point to which no lenslet shows the opening only a share of the rays is sent, anywhere; for the others the
-    last value is zero.
+    If no lenslet shows the opening to the point, only a share of the rays is sent, anywhere; for the others the last
+    value is zero.
 
     Parameters
     ----------
     array : ArraySeen
     shown : Shown
     wide : float
-        Share of the rays that go anywhere.
+        Share of rays that go anywhere.
     normal : (3,) float
         The sensor's normal towards the array, array frame.
     p : (3,) float, mm
-        The point, array frame.
+        Point, array frame.
     numbers : Numbers
-        By the last one, below `wide` the ray goes anywhere, for the next part of `unaimed_share` to a lenslet by its
-        solid angle, else to one by the light that it shows.
+        The last one selects the target: below `wide` anywhere, then up to `unaimed_share` a lenslet by its solid angle,
+        else a lenslet by the light that it shows.
     far : bool
-        The lenslets' views are so wide that all rays together estimate all directions.
+        Views are so wide that all rays together estimate all directions.
     """
     point, choice = (numbers[CELL_U], numbers[CELL_V]), numbers[DISCRETE]
     by_light = choice >= unaimed_share(wide) and shown.by_light > 0.0
@@ -276,8 +276,8 @@ def aimed_through_array(
     elif on_cells > 0.0:
         density = (1.0 - wide) * on_cells if by_light else 0.0
     elif choice < wide or (on_wider > 0.0 and not by_light):
-        # A margin ray whose face no ray finds, as of a cylinder beyond the layer of faces, is outside the support,
-        # where only rays that go anywhere count.
+        # A margin ray to a face that no ray finds, such as a cylinder's beyond the layer of faces, is outside the
+        # support, where only rays that go anywhere count.
         density = (1.0 - wide) * on_wider + wide * max(cos_theta, 0.0) / np.pi
     return d[0], d[1], d[2], cos_theta / density if density > 0.0 else 0.0
 
@@ -286,21 +286,20 @@ def aimed_through_array(
 def toward_lenslet(
     array: ArraySeen, shown: Shown, p: Vector, chosen: int, width: float, point: tuple[float, float]
 ) -> tuple[Vector, float, float]:
-    """Return the direction from a point of the sensor to a uniform point of a lenslet's cell, and its densities.
+    """Return the direction from the sensor to a uniform point of a lenslet's cell, and its densities.
 
-    These, of directions to all lenslets, are zero where the face has ended in the margin round the cell, see
-    `lenslets_density`.
+    The densities, over all lenslets, are zero if the face ends within the cell's margin, see `lenslets_density`.
 
     Parameters
     ----------
     array : ArraySeen
     shown : Shown
     p : (3,) float, mm
-        The point, array frame.
+        Point, array frame.
     chosen : int
         Index of the lenslet in the list.
     width : float, mm
-        Of its cell, with or without the margin.
+        Width of its cell, with or without the margin.
     point : (2,) float
         Random numbers, uniform in [0, 1).
     """
@@ -325,8 +324,8 @@ def toward_lenslet(
     q2 = glass * glass + (glass * glass - 1.0) * s2
     q = np.sqrt(q2)
     layer = mla.lenslets.valley - mla.lenslets.top
-    # A ray that stays in its cell throughout the layer of faces meets no other lenslet. Twice, as in the margin the
-    # faces go on beyond the layer.
+    # A ray that stays in its cell throughout the layer of faces meets no other lenslet. Twice, because the faces
+    # continue beyond the layer in the margin.
     stays = half_width_to(lattice, u, v) + 2.0 * (layer * s / q + max(aim.cell_margin, 0.0)) < 0.5 * lattice.pitch
     if not (stays and meets_once(profile, kind, sx, sy, q)):
         on_cells, on_wider = lenslets_density(array, shown, p, d)
@@ -342,18 +341,18 @@ def toward_lenslet(
 def cells_that_show(
     array: ArraySeen, near: Array, listed: int, cells: NDArray[np.int64], p: Vector, growth2: float
 ) -> Shown:
-    """Find the listed lenslets that may show the opening to a point.
+    """Find the listed lenslets that may show a point the opening.
 
     Parameters
     ----------
     array : ArraySeen
     near, listed
         From `list_cells`; `CHANCE` is filled in: solid angle times the root mean square of the light that a lenslet
-        shows at this distance from the centre of its view.
+        shows this far from the centre of its view.
     cells : (n,) int64
         Filled with indices in the list.
     p : (3,) float, mm
-        The point, array frame.
+        Point, array frame.
     growth2 : float
         Factor on the squared radius of all views.
     """
@@ -386,7 +385,7 @@ def _by_chance(shown: Shown, kind: int, choice: float) -> int:
     Parameters
     ----------
     kind : int
-        `CHANCE` or `SOLID_ANGLE`: the column that holds the relative probabilities.
+        `CHANCE` or `SOLID_ANGLE`: the column of the relative probabilities.
     choice : float
     """
     part = choice * (shown.by_light if kind == CHANCE else shown.by_angle)
@@ -399,11 +398,10 @@ def _by_chance(shown: Shown, kind: int, choice: float) -> int:
 
 @pasted
 def lenslets_density(array: ArraySeen, shown: Shown, p: Vector, d: Vector) -> tuple[float, float]:
-    """Return the densities, 1/sr, with which `toward_lenslet` draws a direction; both 0 outside its support.
+    """Return the densities, 1/sr, of a direction drawn by `toward_lenslet`; 0 outside its support.
 
-    The first is that of rays that choose lenslets by the light that they show, the second that of margin rays.
-
-    Summed over the faces that the direction meets, as each could have drawn it.
+    The first is for rays that choose lenslets by light, the second for margin rays. Both are sums over the faces that
+    the direction meets, as each could have drawn it.
 
     Parameters
     ----------
@@ -455,22 +453,21 @@ def _spread_on_profile(
     profile: Any, lenslets: Lenslets, lenslet: Array, a: tuple[float, float], g: tuple[float, float], margin: float,
     way: tuple[float, float, float, float, float, float, float],
 ) -> tuple[float, float]:  # fmt: skip
-    """Return area over solid angle where a line crosses the face of a cell, and that of the cell with its margin.
+    """Return area over solid angle at a line's crossings of a cell's face, without and with its margin.
 
-    Of a face that is no sphere, which a line may cross more than once: each crossing could have drawn it.
+    For non-spherical faces. A line may cross them more than once, and each crossing could have drawn it.
 
     Parameters
     ----------
     lenslet : (LISTED,) float64
-        Its row in the list.
+        Row of the lenslet in the list.
     a : (2,) float, mm
-        The line at the height of the apexes, from the apex.
+        The line at the height of the apexes, relative to the apex.
     g : (2,) float
         Its slopes, away from the sensor.
     margin : float, mm
     way : (7,) float
-        Thickness of air and of glass, sense in which the sag changes that, index, and slopes as `spread_on_face` takes
-        them.
+        Thickness of air and glass, sign of the sag's effect on the latter, index, and slopes as for `spread_on_face`.
     """
     on_cell, on_wider = 0.0, 0.0
     if profile is None:

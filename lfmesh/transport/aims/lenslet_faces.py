@@ -1,4 +1,4 @@
-"""Rays from a point of the sensor through a lenslet's face: the slope that leads there, and the spread on the face."""
+"""Rays from the sensor through a lenslet's face: their slope, and their spread on the face."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ THIRD_ORDER = 0.1
 """Largest correction by third order, relative to the slope of first order."""
 
 EXACT = 1e-4
-"""Relative size of the last Newton step, which leaves an error of the square of that."""
+"""Relative size of the last Newton step; the remaining error is its square."""
 
 _CORNERS = (
     (0.5, 0.5 / np.sqrt(3.0)),
@@ -35,7 +35,7 @@ _CORNERS = (
 
 @inlined
 def solid_angle(r: float, air: float, plate: float, glass: float) -> float:
-    """Return the projected solid angle of an area in the plane of the apexes, relative to one straight ahead.
+    """Return the projected solid angle of an area in the apex plane, relative to one straight ahead.
 
     Zero where no ray arrives: for a sensor that touches the glass, beyond the angle of total reflection.
 
@@ -53,21 +53,21 @@ def solid_angle(r: float, air: float, plate: float, glass: float) -> float:
     q2 = glass * glass + (glass * glass - 1.0) * s2
     ahead = (air + plate / glass) ** 2
     seen = ahead / (spread_on_face(air, plate, glass, s2, q2, np.sqrt(q2), 1.0) * np.sqrt(1.0 + s2))
-    # In that case the slope is infinite and the quotient 0/0.
+    # There the slope is infinite and the quotient 0/0.
     return seen if seen > 0.0 else 0.0
 
 
 @inlined
 def glass_before_faces(mla: MlaTables, colour: int) -> float:
-    """Return the refractive index of the plate between the sensor and the lenslets' faces; 1 without a plate."""
+    """Return the refractive index of the plate between sensor and lenslet faces; 1 without a plate."""
     return mla.media.indices[mla.medium, colour] if mla.curved_to_lens else 1.0
 
 
 @inlined
 def path_to_apexes(mla: MlaTables, z: float) -> tuple[float, float, float]:
-    """Return the thickness of air and of glass (mm) between the height z over the array and the lenslets' apexes.
+    """Return the thickness of air and glass (mm) between the height z over the array and the apexes.
 
-    The third value is the change of the glass thickness by the sag of the face. Without glass in between, it applies to
+    The third value is the change of the glass thickness per sag of the face. Without glass in between, it applies to
     the air, which then counts as glass of index 1.
     """
     if mla.curved_to_lens:
@@ -77,7 +77,7 @@ def path_to_apexes(mla: MlaTables, z: float) -> tuple[float, float, float]:
 
 @inlined
 def lenslet_ahead(mla: MlaTables, glass: float, z: float) -> float:
-    """Return the solid angle of a lenslet straight ahead, sr, seen from the height z (array frame).
+    """Return the solid angle, sr, of a lenslet straight ahead from the height z (array frame).
 
     Parameters
     ----------
@@ -95,11 +95,11 @@ def lenslet_ahead(mla: MlaTables, glass: float, z: float) -> float:
 
 @inlined
 def slope_to(r: float, air: float, plate: float, glass: float) -> float:
-    """Return the slope in air of the ray with a given lateral shift over a layer of air and a plate of glass.
+    """Return the slope in air of a ray with a given lateral shift over air and a glass plate.
 
-    Newton's method from the slope by third-order optics; one step is mostly enough. For steep rays third order is
-    inaccurate, so its correction is limited by `THIRD_ORDER`. The shift is a concave function of the slope, so from the
-    second step on, the slope approaches the solution from below and always converges.
+    Newton's method starts from the third-order slope; one step is mostly enough. `THIRD_ORDER` limits the third-order
+    correction, which is inaccurate for steep rays. The shift is a concave function of the slope, so from the second
+    step on the slope converges from below.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def on_face(curvature: float, ax: float, ay: float, gx: float, gy: float) -> tup
 
 @inlined
 def spread_on_face(air: float, plate: float, glass: float, s2: float, q2: float, q: float, turned: float) -> float:
-    """Return the area of a face, projected along the axis, over the solid angle of rays in air that cross it, mm²/sr.
+    """Return a face's area, projected along the axis, over the solid angle of its rays in air, mm²/sr.
 
     Parameters
     ----------
@@ -156,9 +156,9 @@ def spread_on_face(air: float, plate: float, glass: float, s2: float, q2: float,
     glass : float
         Refractive index.
     s2, q2, q : float
-        Squared slope in air; the ratio of the slopes in air and in glass, squared, and the ratio itself.
+        Squared slope in air; ratio of the slopes in air and in glass, squared, and the ratio itself.
     turned : float
-        1 − (slope of the ray · slope of the face), by which the inclined face changes the projected area.
+        1 − (slope of the ray · slope of the face): effect of the face's inclination on the projected area.
     """
     across = air + plate / q
     along = air + plate * glass * glass / (q * q2)
@@ -171,18 +171,18 @@ def face_over(
 ) -> tuple[bool, float, float, float, float, float]:
     """Return whether a lenslet has a face over a point, its sag there, and its slope.
 
-    The slope along x is the third value times the fourth over the last; along y it is the third times the fifth over
-    the last, which of a sphere is the cosine of its inclination.
+    The slope along x is the third value times the fourth over the last; along y, the third times the fifth over the
+    last. For a sphere the last is the cosine of the inclination.
 
     Parameters
     ----------
     profile : Profile or None
         None: the lenslet is a sphere.
     kind : float
-        Its type.
+        Type of the lenslet.
     curvature : float, 1/mm
     ax, ay : float, mm
-        The point, from the apex.
+        Point, relative to the apex.
     """
     if profile is None:
         r2 = ax * ax + ay * ay
@@ -200,13 +200,14 @@ def face_over(
 
 @inlined
 def meets_once(profile: Any, kind: float, sx: float, sy: float, q: float) -> bool:
-    """Tell whether a ray of these slopes, q times as much as at the face, crosses the face of its cell only once.
+    """Tell whether a ray crosses its cell's face only once.
 
     Parameters
     ----------
     profile, kind
         As for `face_over`.
     sx, sy, q : float
+        Slopes in air, and their ratio to the slopes at the face.
     """
     if profile is None:
         return True
@@ -217,7 +218,7 @@ def meets_once(profile: Any, kind: float, sx: float, sy: float, q: float) -> boo
 def on_lenslet(
     lenslets: Lenslets, kind: int, curvature: float, ax: float, ay: float, gx: float, gy: float, from_glass: bool
 ) -> tuple[bool, float, float]:  # fmt: skip
-    """Return whether a line (a + g z, z) passes a lenslet's face, and the point, from the apex; see `on_face`.
+    """Return whether a line (a + g z, z) passes a lenslet's face, and the point, relative to the apex; see `on_face`.
 
     Parameters
     ----------
@@ -228,7 +229,7 @@ def on_lenslet(
     ax, ay : float, mm
     gx, gy : float
     from_glass : bool
-        Of several crossings take the one that a ray in the glass meets first, else one in the air.
+        Of several crossings take the first for a ray in the glass, else the first for a ray in the air.
     """
     return _on_lenslet_by(lenslets.profile, lenslets, kind, curvature, ax, ay, gx, gy, from_glass)
 
@@ -252,13 +253,13 @@ def _on_lenslet_by(
 
 @inlined
 def half_width_to(lattice: Lattice, x: float, y: float) -> float:
-    """Return the half width of the cell about the origin whose border contains a point, mm.
+    """Return the half width of a cell about the origin with the point on its border, mm.
 
     Parameters
     ----------
     lattice : Lattice
     x, y : float, mm
-        From the cell's centre.
+        Relative to the cell's centre.
     """
     return half_hexagon(x, y) if lattice.hexagonal else max(abs(x), abs(y))
 
@@ -275,7 +276,7 @@ def point_of_cell(hexagonal: bool, u: float, v: float) -> tuple[float, float]:
     """
     if not hexagonal:
         return u - 0.5, v - 0.5
-    # The hexagon is made of three rhombi, each spanned by two of the radii to the corners at 30°, 150° and 270°.
+    # The hexagon consists of three rhombi, each spanned by two of the radii to the corners at 30°, 150° and 270°.
     third = int(3.0 * u)
     u = 3.0 * u - third
     ax, ay = _CORNERS[third]

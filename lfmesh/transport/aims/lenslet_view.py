@@ -1,7 +1,7 @@
-"""Views of the lens's opening through lenslets: which lenslets show it to a point of the sensor.
+"""Views through lenslets: the lenslets that show the lens's opening to a point of the sensor.
 
 Real rays from the opening's border through every lenslet measure how far from the paraxial view light may land. The
-views must hold every path, as one outside them would have the large weight of the few rays that go anywhere.
+views must hold every path; those outside would have the large weight of the few rays that go anywhere.
 """
 
 from typing import Any
@@ -26,27 +26,27 @@ ZONES = 2
 """Number of points of a lenslet, from its centre to each corner, at which the view is measured."""
 
 VIEW_MARGIN = 1.02
-"""Factor on the radius of a view, for what lies between the rays by which it is measured."""
+"""Factor on the radius of a view, for light between the measured rays."""
 
 TRUSTED, WIDENED = 0.7, 1.3
-"""Range of the factor needed within which the measured views are kept, widened by a common factor if above 1."""
+"""Range of the needed factor that keeps the measured views; they are widened by a common factor above 1."""
 
 ROUNDING = 1e-6
 """Margin of aimed cells, in pitches, for rounding errors."""
 
 
 RINGS = 64
-"""Number of rings of equal area in which the light over a lenslet's view is measured."""
+"""Number of rings of equal area that resolve the light over a lenslet's view."""
 
 SURELY_SHOWN = 0.9
-"""Share of a view's area in which lenslets are taken to show the whole opening until that is measured."""
+"""Share of a view's area that is taken to show the whole opening until that is measured."""
 
 MOST_INDICES = 8
-"""Refractive indices of the lenslets at which rays measure their views; between them a view changes steadily."""
+"""Number of lenslet indices for the view measurement; in between, a view changes steadily."""
 
 
 def by_rings(light: Array) -> Array:
-    """Return the light in the rings of a view, relative to the brightest, as `LensletAim.shown`.
+    """Return the light in a view's rings, relative to the brightest, as `LensletAim.shown`.
 
     Parameters
     ----------
@@ -57,12 +57,12 @@ def by_rings(light: Array) -> Array:
 
 
 def unmeasured_light() -> Array:
-    """Return the light in the rings of a view where it has not been measured, see `LensletAim.shown`."""
+    """Return the unmeasured light in a view's rings, see `LensletAim.shown`."""
     return by_rings(np.where(np.arange(RINGS) < SURELY_SHOWN * RINGS, 1.0, 0.0))
 
 
 def no_lenslets(cells: int) -> LensletAim:
-    """Return the aim through lenslets of which none is known to show anything."""
+    """Return the aim of lenslets not known to show anything."""
     return LensletAim(
         apex_z=0.0, pupil_x=0.0, pupil_y=0.0, pupil_vergence=0.0,
         slope=np.zeros((cells, 2)), slope_radius2=np.full(cells, NOTHING_SEEN),
@@ -71,7 +71,7 @@ def no_lenslets(cells: int) -> LensletAim:
 
 
 def grid(half_width: float, half_height: float, z: float) -> Array:
-    """Return the corners, the middles of the sides and the centre of a rectangle at height z, (9, 3) mm.
+    """Return the corners, side midpoints and centre of a rectangle at height z, (9, 3) mm.
 
     Parameters
     ----------
@@ -81,9 +81,9 @@ def grid(half_width: float, half_height: float, z: float) -> Array:
 
 
 def apex_z(mla: MlaTables, glass: float) -> tuple[float, float]:
-    """Return z (array frame) of the lenslets' apexes as the sensor and as the lens sees them; one through the plate.
+    """Return z (array frame) of the apexes as seen by the sensor and the lens; one through the plate.
 
-    Where both faces have lenslets, each sees those of its own side.
+    If both faces have lenslets, each sees the lenslets on its own side.
     """
     thickness = mla.lenslets.thickness
     if mla.back is not None:
@@ -95,7 +95,7 @@ def apex_z(mla: MlaTables, glass: float) -> tuple[float, float]:
 def aim_through_lenslets(
     scene: Scene, report: FirstOrder, mla: MlaTables, opening: Opening, moves: Array, sensor: SensorTables, glass: float
 ) -> LensletAim:
-    """Return the aim through lenslets, with the view of the exit pupil through each of them.
+    """Return the aim through lenslets, with each one's view of the exit pupil.
 
     A ray from x through a lenslet's point c + u leaves it with slope (c + u − x)/d − φ (u − e), where e is the apex's
     decentre. The opening lies at slope σ − κ u from there. So, seen from the lenslet's centre, it is off (c − x)/d by
@@ -107,7 +107,7 @@ def aim_through_lenslets(
     report : FirstOrder
     mla : MlaTables
     opening : Opening
-        Of the lens, as seen from the lenslets.
+        Opening of the lens, as seen from the lenslets.
     moves : (6, 6, 3, 4) float64
         Between frames.
     sensor : SensorTables
@@ -137,7 +137,7 @@ def aim_through_lenslets(
             few, opening, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius
         )  # fmt: skip
     seen = slope_radius > 0.0
-    # Lenslets that show nothing look along chief rays, should rays from the stop come through them all the same.
+    # Lenslets that show nothing look along chief rays, in case rays from the stop still come through them.
     slope[~seen] = vergence * ([pupil_x, pupil_y] - lattice.centres().reshape(-1, 2)[~seen])
     aim = LensletAim(
         apex_z=sensor_z,
@@ -154,7 +154,7 @@ def aim_through_lenslets(
 
 
 def _at_few_indices(mla: MlaTables) -> MlaTables:
-    """Return the array's tables at few wavelengths, with the smallest and largest index of the lenslets among them."""
+    """Return the array's tables at few wavelengths, including the extreme lenslet indices."""
     indices = np.unique(mla.media.indices[mla.medium])
     if len(indices) > MOST_INDICES:
         indices = indices[np.linspace(0, len(indices) - 1, MOST_INDICES).round().astype(np.int64)]
@@ -162,7 +162,7 @@ def _at_few_indices(mla: MlaTables) -> MlaTables:
 
 
 def _off_by_facets(mla: MlaTables) -> float:
-    """Return the distance outside its cell at which a ray may meet a lenslet's face where the face is a mesh, mm.
+    """Return the margin, mm, around its cell where a ray may meet a meshed lenslet's face.
 
     It is the sag of the chords, as nearly all rays are inclined by less than 45°.
     """
@@ -172,18 +172,18 @@ def _off_by_facets(mla: MlaTables) -> float:
 
 
 def _largest_curvature(lenslets: Lenslets) -> float:
-    """Return a bound of the curvature of the faces of an array's types, 1/mm."""
+    """Return a bound on the curvature of an array's faces, 1/mm."""
     profile = lenslets.profile
     return float(np.abs(lenslets.curvature).max() if profile is None else profile.bend.max())
 
 
 def _searched(aim: LensletAim, mla: MlaTables, moves: Array, sensor: SensorTables) -> LensletAim:
-    """Return the aim with the largest distance of a lenslet that `list_cells` may list from a pixel's chief ray.
+    """Return the aim with the largest search that `list_cells` needs around a pixel's chief ray.
 
     With o = s + κ (c − p), where p is the pupil's centre and κ its vergence, the condition of `list_cells` is
-    (1 + κ d) |c − c₀| ≤ |o| d + ρ d + `extent`, c₀ being where the chief ray meets the array. The bound of |c − c₀|
-    has no maximum within a range of d, so it is largest at the sensor's nearest or farthest corner. Where it has a pole
-    there, as the pupil lies near the sensor, c₀ is straight ahead instead, which is the same with κ = 0.
+    (1 + κ d) |c − c₀| ≤ |o| d + ρ d + `extent`, where c₀ is the chief ray's intersection with the array. The bound on
+    |c − c₀| has no maximum within a range of d, so it is largest at the sensor's nearest or farthest corner. If it has
+    a pole there, as the pupil lies near the sensor, c₀ is taken straight ahead, the same as κ = 0.
     """
     lattice = mla.lenslets.lattice
     width, height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
@@ -210,16 +210,16 @@ def _searched(aim: LensletAim, mla: MlaTables, moves: Array, sensor: SensorTable
 def fitted_views(
     aim: LensletAim, mla: MlaTables, moves: Array, sensor: SensorTables, needed: float, furthest: float, opened: float
 ) -> LensletAim:
-    """Return the aim with the lenslets' views as wide as the light needs, and with all lenslets that show them.
+    """Return the aim with views as wide as the light needs, and the search extended to match.
 
     Parameters
     ----------
     needed : float
-        Factor by which the measured views would have to be wider.
+        Factor on the width of the measured views that the light needs.
     furthest : float
-        Distance, in slope, from the centre of a view within which all light but a negligible share falls.
+        Radius, in slope, about the centre of a view that holds all but a negligible share of the light.
     opened : float
-        The same for lenslets that were taken to show nothing; 0: they do not.
+        The same for lenslets taken to show nothing; 0: they show nothing.
     """
     seen, radius2 = aim.slope_radius2 > 0.0, aim.slope_radius2
     if 1.0 < needed <= WIDENED:
@@ -232,7 +232,7 @@ def fitted_views(
 
 
 def with_wider_cells(aim: LensletAim, mla: MlaTables, by: float) -> LensletAim:
-    """Return the aim with wider aimed cells.
+    """Return the aim with wider cells.
 
     Parameters
     ----------
@@ -250,16 +250,16 @@ def _view_through_cells(
     mla: MlaTables, opening: Opening, moves: Array, lens_z: float, sensor_z: float, power_of_curvature: float,
     corners: Array, slope: Array, slope_radius: Array,
 ) -> None:  # fmt: skip
-    """Measure the view of the opening through every lenslet by real rays.
+    """Measure every lenslet's view of the opening by real rays.
 
     Rays go from the opening's border through points of the lenslet, up to its corners (n, 2), to the sensor.
 
     Parameters
     ----------
     slope : (cells, 2) float64
-        Filled with the slope (array frame, away from the sensor) at which a lenslet sees the opening's centre.
+        Filled with a lenslet's slope to the opening's centre (array frame, away from the sensor).
     slope_radius : (cells,) float64
-        Filled with the radius of the view about that, in slopes; −1: the lenslet does not show the opening.
+        Filled with the radius of the view, in slopes; −1: the lenslet does not show the opening.
     """
     lenslets = mla.lenslets
     lattice = lenslets.lattice
@@ -292,7 +292,7 @@ def _view_through_cells(
 
 @inlined
 def _bends_along(profile: Any) -> tuple[float, float]:
-    """Return 1 for each of the directions x and y in which lenslets have power, 0 for the other one of cylinders."""
+    """Return 1 for each of x and y along which lenslets have power; 0 for a cylinder's other one."""
     if profile is None:
         return 1.0, 1.0
     return profile.weight_x, profile.weight_y
@@ -303,19 +303,19 @@ def _farthest_landing(
     mla: MlaTables, opening: Opening, moves: Array, column: int, row: int, curvature: float, ux: float, uy: float,
     cx: float, cy: float, x: float, y: float, sensor_z: float, sx: float, sy: float,
 ) -> float:  # fmt: skip
-    """Return the largest distance, in slope, from the centre of a cell's view at which rays through a point land.
+    """Return the largest distance, in slope, of rays through a point from the view's centre.
 
     Parameters
     ----------
     column, row : int
-        Of the cell.
+        Column and row of the cell.
     curvature : float, 1/mm
     ux, uy : float, mm
-        The point of the face, relative to its apex.
+        Point of the face, relative to its apex.
     cx, cy, x, y : float, mm
         The cell's centre, and the same point, array frame.
     sx, sy : float
-        Slope at which the cell's centre sees the opening.
+        Slope from the cell's centre to the opening.
     """
     to_sensor = 1.0 if mla.curved_to_lens else -1.0
     sag = face_sag(mla.lenslets, column, row, curvature, ux, uy)
@@ -354,7 +354,7 @@ def _through_lenslet(
     thickness: float, normal: tuple[float, float, float], glass: float, to_sensor: float, sag: float,
     x: float, y: float, dx: float, dy: float, dz: float,
 ) -> tuple[bool, float, float, float, float, float, float]:  # fmt: skip
-    """Trace a ray through a point of a lenslet's face; return whether it gets through, its exit point and direction."""
+    """Trace a ray through a lenslet's point; return whether it gets through, its exit point and direction."""
     scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx * scale, dy * scale, dz * scale
     nx, ny, nz = normal[0] * to_sensor, normal[1] * to_sensor, normal[2] * to_sensor
@@ -370,6 +370,6 @@ def _through_lenslet(
 
 @kernel
 def _slope(moves: Array, dx: float, dy: float, dz: float, toward: float) -> tuple[float, float]:
-    """Return the slope, array frame, of a direction of the camera frame."""
+    """Return the slope, array frame, of a camera-frame direction."""
     x, y, z = frame.move_direction(moves, CAMERA_FRAME, MLA_FRAME, dx, dy, dz)
     return x / (toward * z), y / (toward * z)

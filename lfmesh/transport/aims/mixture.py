@@ -1,14 +1,13 @@
-"""Directions towards the lens: one mixture of all aims at it, with its density.
+"""Directions towards the lens: a mixture of all aims, with its density.
 
-Every aim draws a direction from a point (`toward_...`) and gives the density with which it does (`..._density`), both
-in the camera frame. Most rays go to the lens's opening as seen from the point, a few to a disk that bounds everything
-that can reach the lens. Some go through glass (`through_glass`) or to where ghosts come from (`ghost_cells`). A ray is
-weighted by the density of the whole mixture, whichever aim it was drawn from (balance heuristic, Veach & Guibas 1995).
-So light outside the measured opening is included, and no weight exceeds that of uniform sampling on the wide disk by
-more than the inverse of its share.
+Every aim draws a direction from a point (`toward_...`) and returns its density (`..._density`), both in the camera
+frame. Most rays go to the lens's opening as seen from the point, a few to a disk that bounds everything that can reach
+the lens. Some go through glass (`through_glass`) or to the origins of ghosts (`ghost_cells`). The density of the whole
+mixture weights every ray (balance heuristic, Veach & Guibas 1995). Light outside the measured opening is thus included,
+and no weight exceeds that of uniform sampling on the wide disk by more than the inverse of its share.
 
-Points close before the lens see the wide disk at grazing angles nearly everywhere. From them half of the rays of its
-share go evenly over half of the sphere instead.
+Points close before the lens see the wide disk at grazing angles nearly everywhere. From them, half of the rays to that
+disk go uniformly over half of the sphere instead.
 """
 
 from typing import Any
@@ -24,29 +23,29 @@ from lfmesh.transport.aims.through_glass import bundles_density, share_of_bundle
 from lfmesh.transport.tables.tables import AimTables, LensAim
 
 WIDE_SHARE = 0.1
-"""Share of rays to the wide disk where reflections are followed: ghosts come from all over it."""
+"""Share of rays to the wide disk if reflections are followed: ghosts come from all over it."""
 
 WIDE_SHARE_OF_STRAYS = 0.3
-"""The same where only paths with reflections are estimated."""
+"""The same if only paths with reflections are estimated."""
 
 WIDE_SHARE_OF_IMAGE_PATH = 0.002
-"""The same where no reflections are followed: it brings only light outside the measured opening."""
+"""The same if no reflections are followed: it only adds light outside the measured opening."""
 
 WIDE_SHARE_OF_FALLBACK = 0.5
-"""The same, whatever is estimated, behind an array through which aimed rays do not hold all light, see `aim_proof`."""
+"""The same behind an array with aimed rays that do not hold all light, for every estimator, see `aim_proof`."""
 
 EVERYWHERE = 0.5
-"""Share of rays from points close before the lens, of those to the wide disk, that go everywhere towards the lens."""
+"""Share of the rays to the wide disk that go everywhere towards the lens instead, from points close before it."""
 
 OVER_HALF_SPHERE = 1.0 / (2.0 * np.pi)
-"""Density of directions that are even over half of the sphere, 1/sr."""
+"""Density of directions that are uniform over half of the sphere, 1/sr."""
 
 WIDE_SHARE_WITHIN = 0.5
-"""Least share of rays to the wide disk from points so near before the opening that it fills a right angle."""
+"""Least share of rays to the wide disk from points so close before the opening that it fills a right angle."""
 
 
 def with_wide_share(aim: AimTables, share: float, share_without_aim: float | None = None) -> AimTables:
-    """Return the aim with another share of rays from the sensor that go anywhere, if aimed rays hold all light.
+    """Return the aim with another share of sensor rays that go anywhere, if aimed rays hold all light.
 
     Parameters
     ----------
@@ -62,7 +61,7 @@ def with_wide_share(aim: AimTables, share: float, share_without_aim: float | Non
 
 
 def anywhere(aim: LensAim) -> LensAim:
-    """Return the aim at one side of the lens of which nothing is known: every ray goes to the wide disk."""
+    """Return one side's aim for an unknown opening: every ray goes to the wide disk."""
     opening = aim.opening._replace(far=no_disks(), near=no_disks())
     return aim._replace(opening=opening, wide_share=1.0, share_without_aim=1.0)
 
@@ -71,16 +70,15 @@ def anywhere(aim: LensAim) -> LensAim:
 def aimed(aim: LensAim, p: Vector, numbers: Vector) -> tuple[float, float, float, float]:
     """Return a direction from a point towards the lens, and its density in the mixture, 1/sr.
 
-    From a point that sees no opening only a share of the rays is sent, to the wide disk; for the others the density
-    is zero.
+    From a point that sees no opening, only a share of the rays is sent, to the wide disk; the others have density zero.
 
     Parameters
     ----------
     aim : LensAim
     p : (3,) float, mm
-        The point, camera frame.
+        Point, camera frame.
     numbers : (3,) float
-        Random numbers, uniform in [0, 1): of the choice between aims, and of the place in the one that is chosen.
+        Random numbers, uniform in [0, 1): for the choice between aims, and for the place in the chosen one.
     """
     guided = _guided_share(aim, p)
     if guided <= 0.0:
@@ -97,7 +95,7 @@ def aimed(aim: LensAim, p: Vector, numbers: Vector) -> tuple[float, float, float
 
 @kernel
 def aimed_straight(aim: LensAim, p: Vector, numbers: Vector) -> tuple[float, float, float, float]:
-    """Return a direction from a point straight towards the lens, and its density among these alone, 1/sr.
+    """Return a direction from a point straight towards the lens, and its density among these, 1/sr.
 
     Parameters
     ----------
@@ -121,7 +119,7 @@ def aimed_straight(aim: LensAim, p: Vector, numbers: Vector) -> tuple[float, flo
 
 @kernel
 def aimed_density(aim: LensAim, p: Vector, d: Vector) -> float:
-    """Return the density, 1/sr, with which `aimed` draws a direction from a point.
+    """Return the density, 1/sr, of a direction drawn by `aimed`.
 
     Parameters
     ----------
@@ -143,13 +141,13 @@ def aimed_density(aim: LensAim, p: Vector, d: Vector) -> float:
 
 @inlined
 def _guided_share(aim: LensAim, p: Vector) -> float:
-    """Return the share of rays from a point that do not go straight to the lens's opening or the wide disk."""
+    """Return the share of rays that go straight neither to the lens's opening nor to the wide disk."""
     return share_of_bundles(aim.glass, p) + share_of_ghost_cells(aim.ghosts, aim.opening, p)
 
 
 @inlined
 def _toward_guide(glass: Any, ghosts: Any, p: Vector, numbers: Vector, guided: float) -> Vector:
-    """Return a direction of those, by numbers of which the first is below the share."""
+    """Return the direction of such a ray; the first random number is below the share."""
     if glass is not None:
         return toward_bundle(glass, p, numbers)
     return toward_ghost_cell(ghosts, p, (numbers[0] / guided, numbers[1], numbers[2]))
@@ -157,22 +155,22 @@ def _toward_guide(glass: Any, ghosts: Any, p: Vector, numbers: Vector, guided: f
 
 @inlined
 def _guide_density(aim: LensAim, p: Vector, d: Vector, guided: float) -> float:
-    """Return the density, 1/sr, of those rays times their share."""
+    """Return the density, 1/sr, of such rays times their share."""
     return bundles_density(aim.glass, p, d) + guided * ghost_cell_density(aim.ghosts, p, d)
 
 
 @inlined
 def _shares(aim: LensAim, p: Vector) -> tuple[tuple[float, float, float, float], float, float]:
-    """Return the disk of the opening, and the shares of straight rays that are not aimed at it from a point.
+    """Return the opening's disk, and the shares of straight rays not aimed at it.
 
     Returns
     -------
     disk : (4,) float, mm
         Centre and radius; radius −1: the point sees none.
     share : float
-        Of rays to the wide disk or everywhere.
+        Share of rays to the wide disk or everywhere.
     everywhere : float
-        Of rays everywhere.
+        Share of rays everywhere.
     """
     opening = aim.opening
     cx, cy, radius = opening_from(opening, p)

@@ -1,8 +1,8 @@
-"""The lens's opening as seen from points close before it, in a table by their height and distance.
+"""Lens's opening as seen from close points, in a table by height and distance.
 
-By field angle and inverse distance, as `pupil` has other points, a table that reaches up to the lens is stretched over
-tangents up to infinity. Close to the lens the disks change evenly with height and distance instead: where the lens lets
-light through at limited angles alone, the disk shrinks to the point itself, in proportion to its distance.
+Up to the lens, a table by field angle and inverse distance, as in `pupil`, would extend to infinite tangents. There the
+disks vary smoothly with height and distance instead. If the lens passes only a limited range of angles, the disk
+shrinks to the point itself in proportion to its distance.
 """
 
 from collections.abc import Iterable
@@ -17,25 +17,25 @@ from lfmesh.transport.tables.tables import Disks
 Array = NDArray[np.float64]
 
 HEIGHTS = 33
-"""Heights at which the opening is measured, evenly spaced."""
+"""Number of evenly spaced heights at which the opening is measured."""
 
 DISTANCES = 9
-"""Distances at which it is measured if the points do not all lie in one plane, evenly spaced."""
+"""Number of evenly spaced distances at which it is measured if the points do not all lie in one plane."""
 
 NEAREST = 1e-4
-"""Distance in place of 0 at which the opening is measured, relative to that up to which points are near."""
+"""Distance that replaces 0 in measurements, relative to the depth up to which points are near."""
 
 VANISHING = 0.1
-"""Share of the radius measured there below which it is taken to vanish in the plane itself."""
+"""Share of the radius measured there below which the disk is taken to vanish in the plane itself."""
 
 
 class NearViewpoints(NamedTuple):
-    """Points close before the lens from which it is seen.
+    """Viewpoints close before the lens.
 
     Attributes
     ----------
     depth : float, mm
-        Points nearer to the lens's outermost plane are near.
+        Points closer to the lens's outermost plane are near.
     height : (m,) float64, mm
         Heights over the axis, from 0, evenly spaced.
     distance : (n,) float64, mm
@@ -48,26 +48,26 @@ class NearViewpoints(NamedTuple):
 
     @property
     def measured(self) -> Array:
-        """Distances at which the opening is measured, none of them 0, (n,) mm."""
+        """Distances of the measurements, none of them 0, (n,) mm."""
         return np.maximum(self.distance, NEAREST * self.depth)
 
     @property
     def extends_beyond(self) -> bool:
-        """True if surfaces or bodies reach from near points to points farther away."""
+        """True if shapes reach from near points to points farther away."""
         return bool(self.distance[-1] >= self.depth)
 
 
 def near_viewpoints(
     plane_z: float, depth: float, shapes: Iterable[tuple[Array, NDArray[np.intp]]]
 ) -> NearViewpoints | None:
-    """Return the grid of viewpoints that covers what of some shapes is close before the lens; None: nothing is.
+    """Return the grid of viewpoints for the near parts of shapes; None without any.
 
     Parameters
     ----------
     plane_z, depth : float, mm
-        The lens's outermost plane, and the distance before it up to which points are near.
+        The lens's outermost plane, and the depth of the near range before it.
     shapes : of (points (n, 3) float64, mm, camera frame; edges (m, 2) int)
-        Vertices of surfaces or convex bodies, and which of them are joined.
+        Vertices of surfaces or convex bodies, and pairs of joined ones.
     """
     distance, height = [np.zeros(0)], [np.zeros(0)]
     for points, edges in shapes:
@@ -77,7 +77,7 @@ def near_viewpoints(
         height.append(np.hypot(points[inside, 0], points[inside, 1]))
         one, other = edges.T
         for border in (0.0, depth):
-            # Where edges cross the borders of what is near.
+            # Intersections of edges with the borders of the near range.
             across = (before[one] > border) != (before[other] > border)
             a, b = one[across], other[across]
             t = (before[a] - border) / (before[a] - before[b])
@@ -101,7 +101,7 @@ def near_disks(seen: NearViewpoints, middle: Array, radius: Array) -> Disks:
     seen : NearViewpoints
     middle, radius : (n, m) float64, mm
         Centre along the meridian and radius of the disk from each viewpoint at `NearViewpoints.measured`; radius −1:
-        no light gets through.
+        closed.
     """
     distance, measured = seen.distance, seen.measured
     middle, radius = middle.copy(), radius.copy()
@@ -112,10 +112,10 @@ def near_disks(seen: NearViewpoints, middle: Array, radius: Array) -> Disks:
 
 
 def _continue_to_plane(middle: Array, radius: Array, height: Array, measured: float) -> bool:
-    """Change disks (m,) measured close before the plane into those in the plane; tell whether they vanish.
+    """Move disks (m,) measured near the plane into it; tell whether they vanish.
 
-    A disk that is no larger than the distance, or few times so, shrinks to the point itself. Larger ones are openings
-    that let through light at any angle.
+    A disk not larger than a few times the distance shrinks to the point itself. Larger disks are openings for light at
+    any angle.
     """
     is_open = radius >= 0.0
     vanishes = bool((radius[is_open] * VANISHING < measured).all())

@@ -1,8 +1,7 @@
-"""Views of the lens's opening through plates with lenslets on both faces, measured by real rays.
+"""Views of the lens's opening through plates with lenslets on both faces, by real rays.
 
-Rays go from the opening through points of every lenslet towards the lens, and land in the lenslet towards the sensor
-that they meet, which is not always the one opposite. Of each of these, the smallest box round the slopes of its rays
-gives the middle of its view, and the farthest of them its radius.
+Rays go from the opening through every lenslet on the lens side to a lenslet on the sensor side, not always the opposite
+one. The bounding box of the rays' slopes at the latter gives the middle of its view, the farthest ray the radius.
 """
 
 import numpy as np
@@ -19,10 +18,10 @@ from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME,
 from lfmesh.transport.tables.tables import MlaTables, Opening
 
 ZONES = 2
-"""Number of points of a lenslet, from its centre to each corner, through which rays go."""
+"""Number of points of a lenslet, from its centre to each corner, that rays go through."""
 
 INSIDE = 0.98
-"""Share of the way to the corners: at a corner a ray may land in any of the lenslets that meet there."""
+"""Share of the way to the corners: at a corner a ray may land in any of the adjacent lenslets."""
 
 NOTHING_SEEN = -1.0
 """In place of the radius of a lenslet's view: the lenslet does not show the opening."""
@@ -31,7 +30,7 @@ NOTHING_SEEN = -1.0
 def views_through_plate(
     mla: MlaTables, opening: Opening, moves: Array, sensor_z: float, slope: Array, slope_radius: Array
 ) -> None:  # fmt: skip
-    """Measure the view of the opening through every lenslet towards the sensor.
+    """Measure the view of every lenslet on the sensor side.
 
     Parameters
     ----------
@@ -44,7 +43,7 @@ def views_through_plate(
     slope : (cells, 2) float64
         Filled with the slope, array frame, away from the sensor, of the middle of the view.
     slope_radius : (cells,) float64
-        Filled with the radius of the view about that, in slopes; −1: the lenslet does not show the opening.
+        Filled with the radius of the view, in slopes; −1: the lenslet does not show the opening.
     """
     corners = mla.lenslets.lattice.corners()
     low, high = np.full(slope.shape, np.inf), np.full(slope.shape, -np.inf)
@@ -61,7 +60,7 @@ def _through_all(
     mla: MlaTables, opening: Opening, moves: Array, sensor_z: float, corners: Array, low: Array, high: Array,
     radius: Array, has_middle: bool,
 ) -> None:  # fmt: skip
-    """Send rays through all lenslets towards the lens; enter them in boxes, or in radii about the middle `low`."""
+    """Send rays through all lens-side lenslets; enter them in boxes, or in radii about the middle `low`."""
     lattice = mla.lenslets.lattice
     for row in range(lattice.rows):
         for column in range(lattice.columns):
@@ -89,20 +88,20 @@ def _slope_through(
     mla: MlaTables, back: MlaTables, opening: Opening, moves: Array, sensor_z: float, column: int, row: int,
     x: float, y: float, colour: int, which: int,
 ) -> tuple[int, float, float]:  # fmt: skip
-    """Trace a ray through a point of a lenslet towards the lens; return the cell that it leaves, and its slope there.
+    """Trace a ray through a lens-side lenslet; return the cell where it leaves, and its slope there.
 
-    The cell is −1 where the ray does not get to the sensor.
+    The cell is −1 if the ray does not get to the sensor.
 
     Parameters
     ----------
     back : MlaTables
-        The lenslets towards the lens.
+        Lenslets on the lens side.
     column, row : int
-        The lenslet among them.
+        Column and row of the lenslet among them.
     x, y : float, mm
-        The point, in their frame.
+        Point, in their frame.
     which : int
-        Point of the opening: its centre, or one of four of its border.
+        Point of the opening: its centre, or one of four on its border.
     """
     curvature, ex, ey = shape_of(back.lenslets, column, row)
     cx, cy = centre(back.lenslets.lattice, column, row)
@@ -127,7 +126,7 @@ def _slope_through(
     lenslets = mla.lenslets
     lattice = lenslets.lattice
     gx, gy = dx / dz, dy / dz
-    # The line at the height of the apexes, and in the middle of the layer of faces.
+    # The line at the height of the apexes and in the middle of the layer of faces.
     ax, ay, middle = px - pz * gx, py - pz * gy, 0.5 * (lenslets.top + lenslets.valley)
     own_column, own_row = cell_of(lattice, ax + middle * gx, ay + middle * gy)
     if not is_inside(lattice, own_column, own_row):
@@ -155,7 +154,7 @@ def _slope_through(
 def refract_if_possible(
     dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float
 ) -> tuple[bool, float, float, float]:
-    """Return whether a ray is refracted at a face whose normal points along it, and the refracted direction.
+    """Return whether a face with a normal along the ray refracts it, and the refracted direction.
 
     Parameters
     ----------

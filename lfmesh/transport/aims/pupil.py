@@ -1,12 +1,12 @@
-"""The lens's opening (effective pupil) as seen from points in front of the lens or behind it, found by real rays.
+"""Lens's opening (effective pupil) as seen from points on either side, found by real rays.
 
-From each of a table of points, rays are traced through the exact surfaces of the lens. Those that get through at any
-wavelength of the scene are bounded by a disk in the lens's outermost plane, which includes vignetting and pupil
-aberrations. As the lens is rotationally symmetric, a point is given by its distance from that plane and the tangent of
-its field angle, or if it is close before the plane by its height over the axis.
+From a table of points, rays are traced through the exact surfaces of the lens. A disk in the lens's outermost plane
+bounds the rays that get through at any wavelength of the scene, with vignetting and pupil aberrations. By rotational
+symmetry, a point is given by its distance from that plane and the tangent of its field angle or, close to the plane,
+its height over the axis.
 
-Points, spokes and wavelengths are samples. They decide where rays go, never what light there is: some rays go beside
-the opening, and rays from the stop prove it or widen it (`transport/checks/aim_proof.py`).
+Points, spokes and wavelengths are samples. They decide only the directions of rays, never the amount of light: some
+rays go beside the opening, and rays from the stop prove or widen it (`transport/checks/aim_proof.py`).
 """
 
 from typing import NamedTuple
@@ -40,19 +40,19 @@ from lfmesh.transport.tables.tables import Disks, LensTables, Opening
 Array = NDArray[np.float64]
 
 _OBSTRUCTION = ROWS * BLOCK
-"""Row beyond those of a bundle: how near a ray came to the edge of an aperture."""
+"""Row beyond those of a bundle: closest approach of a ray to the edge of an aperture."""
 
 ANGLES = 33
-"""Field angles at which the opening is measured, evenly spaced in their tangent."""
+"""Number of field angles at which the opening is measured, evenly spaced in their tangent."""
 
 DISTANCES = 6
-"""Distances at which it is measured if the points do not all lie in one plane, evenly spaced in their inverse."""
+"""Number of distances at which it is measured unless all points lie in one plane, evenly spaced in their inverse."""
 
 DISTANCES_TO_NEAR = 24
-"""The same where points lie close before the lens too."""
+"""The same if some points lie close before the lens."""
 
 SEARCH = 49
-"""Rays along the meridian of the outermost plane with which the search for the opening begins."""
+"""Number of rays along the meridian of the outermost plane that start the search for the opening."""
 
 CLOSE_UP = np.ldexp(1.0, -np.arange(4, 28))
 """Further trial rays: distances from the opening of first-order optics, in radii of the wide disk."""
@@ -66,23 +66,23 @@ SLOPES = np.tan(np.radians(np.linspace(-85.0, 85.0, 35)))
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 SPOKES = 20
-"""Directions in the half-plane about the clearest ray in which the opening's edge is measured."""
+"""Number of directions in the half-plane about the clearest ray in which the opening's edge is measured."""
 
 OUTERMOST = 40
-"""Largest number of halvings of a spoke, from beyond the lens inwards, until a ray on it gets through."""
+"""Largest number of halvings of a spoke, inwards from beyond the lens, until a ray on it gets through."""
 
 HALVINGS = 7
 """Bisections of the interval that then holds the edge, to a hundredth of the opening."""
 
 PARAXIAL_MARGIN = 1.15
-"""Factor on the paraxial pupil's radius where real rays cannot be traced, for the pupil's aberrations."""
+"""Factor on the paraxial pupil's radius, for pupil aberrations, if real rays cannot be traced."""
 
 MARGIN = 1.02
-"""Factor on the measured radius, for what lies between the measured points, spokes and wavelengths."""
+"""Factor on the measured radius, for light between the measured points, spokes and wavelengths."""
 
 
 class Viewpoints(NamedTuple):
-    """Points from which one side of the lens is seen, as a grid of field angles and distances.
+    """Grid of viewpoints of one side of the lens, by field angle and distance.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Viewpoints(NamedTuple):
 def viewpoints(
     plane_z: float, wide_radius: float, points: Array, *, to_sensor: bool, near: NearViewpoints | None = None
 ) -> Viewpoints | None:
-    """Return the grid of viewpoints that covers some points; None if none of the points lies before the lens.
+    """Return the grid of viewpoints that covers points; None if none lies before the lens.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def viewpoints(
         See `Viewpoints`.
     points : (n, 3) float64, mm, camera frame
     near : NearViewpoints, optional
-        Points close before the lens, which have a table of their own.
+        Points close before the lens, which have their own table.
     """
     distance = (plane_z - points[:, 2]) * (1.0 if to_sensor else -1.0)
     before = distance > 1e-6 * wide_radius if near is None else distance >= near.depth
@@ -124,7 +124,7 @@ def viewpoints(
     tangent = np.hypot(points[before, 0], points[before, 1]) / distance
     steps = DISTANCES
     if near is not None and (near.extends_beyond or not len(distance)):
-        # What reaches up to the near points begins where they end.
+        # Shapes that reach up to the near points begin where these end.
         distance, tangent = np.append(distance, near.depth), np.append(tangent, near.height[-1] / near.depth)
         steps = DISTANCES_TO_NEAR
     if not len(distance):
@@ -148,13 +148,13 @@ def closed_opening(plane_z: float, *, to_sensor: bool, near_depth: float = 0.0) 
     to_sensor : bool
         It is seen from object space.
     near_depth : float, mm
-        From points nearer than this half of the rays go everywhere towards the lens.
+        From points closer than this, half of the rays go everywhere towards the lens.
     """
     return Opening(plane_z, 1.0 if to_sensor else -1.0, no_disks(), near_depth, no_disks())
 
 
 def paraxial_opening(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> Opening:
-    """Return the pupil of first-order optics, projected from each viewpoint into the outermost plane, with a margin.
+    """Return the first-order pupil, projected from viewpoints into the outermost plane, with a margin.
 
     It is never wider than the disk that every ray to the lens crosses.
 
@@ -168,12 +168,12 @@ def paraxial_opening(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> O
 
 
 def paraxial_near(seen: Viewpoints, near: NearViewpoints, pupil_z: float, pupil_radius: float) -> Disks:
-    """Return the same for points close before the lens.
+    """Return the first-order pupil seen from close points.
 
     Parameters
     ----------
     seen : Viewpoints
-        Of the lens's outermost plane.
+        Viewpoints of the lens's outermost plane.
     near : NearViewpoints
     pupil_z, pupil_radius : float, mm
         Camera frame.
@@ -189,7 +189,7 @@ def _places(seen: Viewpoints) -> tuple[Array, Array]:
 def _paraxial_disks(
     seen: Viewpoints, height: Array, distance: Array, pupil_z: float, pupil_radius: float
 ) -> tuple[Array, Array]:
-    """Return centre (along the meridian) and radius of the paraxial pupil, mm, seen from heights and distances."""
+    """Return centre (along the meridian) and radius of the paraxial pupil, mm, by height and distance."""
     depth = (pupil_z - seen.plane_z) * (1.0 if seen.to_sensor else -1.0)
     with np.errstate(divide="ignore"):
         share = distance / (distance + depth)
@@ -200,16 +200,16 @@ def _paraxial_disks(
 
 
 def real_opening(seen: Viewpoints, lens: LensTables, pupil_z: float, pupil_radius: float) -> Opening:
-    """Return the opening through which real rays of any wavelength pass the lens's exact surfaces.
+    """Return the opening of the lens's exact surfaces for real rays of any wavelength.
 
-    Field angles beyond which no light gets through are left out of the table.
+    The table omits field angles beyond which no light gets through.
 
     Parameters
     ----------
     seen : Viewpoints
     lens : LensTables
     pupil_z, pupil_radius : float, mm
-        The paraxial pupil, near which the search begins, and which is used where real rays cannot decide.
+        Paraxial pupil: start of the search, and the result if real rays cannot decide.
     """
     middle, radius = _measured(seen, lens, *_places(seen), pupil_z, pupil_radius)
     open_columns = np.flatnonzero((radius > 0.0).any(axis=0))
@@ -225,14 +225,14 @@ def real_opening(seen: Viewpoints, lens: LensTables, pupil_z: float, pupil_radiu
 def real_near(
     seen: Viewpoints, near: NearViewpoints, lens: LensTables, pupil_z: float, pupil_radius: float
 ) -> tuple[NearViewpoints, Disks | None]:
-    """Return the opening of real rays from points close before the lens; None if it is closed to all of them.
+    """Return the opening of real rays from close points; None if it is closed to all.
 
-    Heights beyond which no light gets through are left out of the table, and of the viewpoints that are returned.
+    The table and the returned viewpoints omit heights beyond which no light gets through.
 
     Parameters
     ----------
     seen : Viewpoints
-        Tells plane and side; its wide disk is where trial rays go.
+        Gives plane and side; trial rays go to its wide disk.
     near : NearViewpoints
     lens, pupil_z, pupil_radius
         As for `real_opening`.
@@ -253,7 +253,7 @@ def _measured(
     seen: Viewpoints, lens: LensTables, heights: Array, distances: Array, pupil_z: float, pupil_radius: float,
     slopes: Array | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return centre (along the meridian) and radius of the opening from every viewpoint, (n, m) mm; −1: closed.
+    """Return the opening's centre (along the meridian) and radius from viewpoints, (n, m) mm; −1: closed.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def _measured(
     reach = np.sqrt(((px[None] - trial[..., None]) ** 2 + py[None] ** 2).max(axis=2))
     best = reach.argmin(axis=0)
     points = np.arange(len(height))
-    # Where real rays fail and so cannot decide, the opening of first-order optics is used.
+    # If real rays fail and so cannot decide, first-order optics gives the opening.
     closed_radius = np.where(decided, -1.0, paraxial_radius)
     radius = np.where(is_open, MARGIN * reach[best, points], closed_radius)
     middle = np.where(is_open | decided, trial[best, points], paraxial_middle)
@@ -287,10 +287,10 @@ def _measured(
 def _clearest_ray(
     seen: Viewpoints, lens: LensTables, height: Array, distance: Array, expected: Array, further: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Find the ray from each point, in the meridional plane, that stays furthest from every aperture's edge.
+    """Find each point's meridional ray that stays farthest from every aperture's edge.
 
     The obstruction (see `_obstruction`) has a single minimum, which a golden-section search finds however small the
-    stop is. A search by whether rays get through would need the size of the opening first.
+    stop. A search for rays that get through would need the size of the opening first.
 
     Parameters
     ----------
@@ -303,10 +303,10 @@ def _clearest_ray(
     Returns
     -------
     place : (points,) float64, mm
-        Where the ray crosses the outermost plane, along the meridian.
+        Intersection of the ray with the outermost plane, along the meridian.
     obstruction : (points,) float64
     decided : (points,) bool
-        False where the clearest ray does not get through and rays next to it fail, so that the search is inconclusive.
+        False if the clearest ray is blocked and rays next to it fail, so that the search is inconclusive.
     """
     steps = np.concatenate([-CLOSE_UP, [0.0], CLOSE_UP]) * seen.wide_radius
     across = np.broadcast_to(np.linspace(-1.0, 1.0, SEARCH) * seen.wide_radius, (len(height), SEARCH))
@@ -337,7 +337,7 @@ def _clearest_ray(
 
 
 def _edge(seen: Viewpoints, lens: LensTables, height: Array, distance: Array, start: Array) -> Array:
-    """Return the distance from `start` to the edge of the opening along each spoke, (points, SPOKES) mm."""
+    """Return the distance from `start` to the opening's edge along each spoke, (points, SPOKES) mm."""
     angle = np.linspace(0.0, np.pi, SPOKES)
 
     def gets_through(reach: Array) -> NDArray[np.bool_]:
@@ -362,14 +362,14 @@ def _edge(seen: Viewpoints, lens: LensTables, height: Array, distance: Array, st
 def _obstruction(seen: Viewpoints, lens: LensTables, height: Array, distance: Array, x: Array, y: Array) -> Array:
     """Return the obstruction of rays: the largest (r / r_max)² over all apertures and the stop, (points, rays).
 
-    Apertures do not end the rays here; a ray gets through if its obstruction is below one. The value is the least over
-    the wavelengths; inf for a ray that misses a surface or is reflected totally.
+    Apertures do not end the rays here; a ray gets through if its obstruction is below one. The least value over the
+    wavelengths counts; inf for a ray that misses a surface or is totally reflected.
 
     Parameters
     ----------
     height, distance : (points,) float64, mm
     x, y : (points, rays) float64, mm
-        Where the rays cross the outermost plane.
+        Intersections of the rays with the outermost plane.
     """
     heights, distances = (np.broadcast_to(a[:, None], x.shape).flatten() for a in (height, distance))
     unbounded = lens.surfaces.copy()
@@ -430,7 +430,7 @@ def _trace_unbounded(
 
 
 def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
-    """Return the opening of measured disks. Beyond the last field angle at which light gets through it is closed."""
+    """Return the opening of measured disks, closed beyond the last field angle that lets light through."""
     sense, tangent_step = 1.0 if seen.to_sensor else -1.0, float(seen.tangent[1])
     far = covering(tangent_step, 1.0 / seen.distance, middle, radius, seen.distance)
     return Opening(seen.plane_z, sense, far, 0.0, no_disks())
@@ -438,13 +438,13 @@ def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
 
 @inlined
 def opening_from(opening: Opening, p: Vector) -> tuple[float, float, float]:
-    """Return centre (x, y) and radius, in the plane of the opening, of the disk seen from a point; radius −1: none.
+    """Return centre (x, y) and radius, in the opening's plane, of the disk seen from a point; radius −1: none.
 
     Parameters
     ----------
     opening : Opening
     p : (3,) float, mm
-        The point, camera frame.
+        Point, camera frame.
     """
     x, y, z = p
     distance = (opening.plane_z - z) * opening.sense

@@ -1,4 +1,4 @@
-"""Support of the aims: whether aimed rays can go along a given one, and how much wider the aim would have to be."""
+"""Support of the aims: whether aimed rays can follow a given ray, and the widening needed."""
 
 from typing import Any
 
@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 
 
 def beyond_sensor_aim(aim: AimTables, through: CameraTables, rays: Rays) -> Array:
-    """Return the factor by which the opening would have to be wider to hold each ray; up to 1: it holds the ray.
+    """Return the factor on the opening's width needed to hold each ray; up to 1: it holds the ray.
 
     With an array the factor is 0 for rays in the aim and inf for all others.
 
@@ -88,9 +88,9 @@ def seen_from_cells(aim: AimTables, through: CameraTables, rays: Rays) -> tuple[
     Returns
     -------
     off, radius : (n,) float64
-        Distance, in slope, from the centre of the lenslet's view, and the radius of the view; −1: it shows nothing.
+        Distance, in slope, from the centre of the view, and its radius; −1: the lenslet shows nothing.
     out : (n,) float64
-        Distance from the centre of the cell, relative to half the cell as it is aimed at.
+        Distance from the centre of the cell, relative to half of the aimed cell.
     """
     off, radius, out = (np.zeros(len(rays.throughput)) for _ in range(3))
     _measure_in_cells(
@@ -102,17 +102,17 @@ def seen_from_cells(aim: AimTables, through: CameraTables, rays: Rays) -> tuple[
 def beyond_object_aim(
     aim: AimTables, seen: Viewpoints | None, near: NearViewpoints | None, rays: Rays, random: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return the factors of `beyond_sensor_aim` for the aim from far and from near points; 0 for rays that miss these.
+    """Return the factors of `beyond_sensor_aim` for far and near points; 0 for rays that miss these.
 
-    Each ray is tested at a random distance among those of the points.
+    Each ray is tested at a random distance within the points' range.
 
     Parameters
     ----------
     aim : AimTables
     seen : Viewpoints or None
-        Of the targets.
+        Viewpoints of the targets.
     near : NearViewpoints or None
-        Of those close before the lens.
+        Close viewpoints.
     rays : Rays
     random : Generator
     """
@@ -132,7 +132,7 @@ def beyond_object_aim(
 
 
 def _beyond_at(opening: Opening, rays: Rays, distance: Array, height: Array, beyond: Array) -> None:
-    """Write the factors for rays at distances, (n,) mm, where they are not farther from the axis than heights."""
+    """Write the factors of rays at distances, (n,) mm, if not farther from the axis than heights."""
     t = (opening.plane_z - distance - rays.objects[:, 2]) / rays.objects[:, 5]
     p = rays.objects[:, :3] + t[:, None] * rays.objects[:, 3:]
     inside = np.hypot(p[:, 0], p[:, 1]) <= height
@@ -143,7 +143,7 @@ def _beyond_at(opening: Opening, rays: Rays, distance: Array, height: Array, bey
 
 @kernel
 def _beyond_opening(p: Array, d: Array, opening: Opening, beyond: Array) -> None:
-    """Write the factor by which the disk seen from each point would have to be larger for the ray to cross it."""
+    """Write the factor on the disk seen from each point that would make the ray cross it."""
     for i in range(len(beyond)):
         beyond[i] = _off_disk(opening, p[i, 0], p[i, 1], p[i, 2], d[i, 0], d[i, 1], d[i, 2])
 
@@ -170,7 +170,7 @@ def _outside_cells(
     rays: Array, kick: Array, colour: NDArray[np.int64], aim: LensletAim, mla: MlaTables, sensor: SensorTables,
     frames: Array, near: Array, cells: NDArray[np.int64], outside: Array,
 ) -> None:  # fmt: skip
-    """Write inf for each ray (n, 5) along which no aimed path can start, from the pixel that it falls on."""
+    """Write inf for each ray (n, 5) that no aimed path from its pixel can follow."""
     extent = pixel_extent(sensor, frames)
     for i in range(len(outside)):
         column = min(max(np.floor(rays[i, 0] / sensor.pixel + 0.5 * sensor.columns), 0), sensor.columns - 1)
@@ -191,7 +191,7 @@ def _outside_cells(
 
 @inlined
 def _seen_after_kick(apertures: Any, array: ArraySeen, p: Vector, kick: Any) -> tuple[float, Vector]:
-    """Return the growth of views by a change of direction, and the point that sees them without; see `without_kick`."""
+    """Return the growth of views by a deflection, and the point that sees them undeflected."""
     if apertures is None:
         return 1.0, p
     return without_kick(array, p, (kick[0], kick[1]))
@@ -202,7 +202,7 @@ def _measure_in_cells(
     rays: Array, kick: Array, colour: NDArray[np.int64], aim: LensletAim, mla: MlaTables, frames: Array,
     off: Array, radius: Array, out: Array,
 ) -> None:  # fmt: skip
-    """Write the results of `seen_from_cells`; a ray close to a border is measured in the likelier of the cells."""
+    """Write the results of `seen_from_cells`; near a border, in the likelier cell."""
     lattice = mla.lenslets.lattice
     half = 0.5 * lattice.pitch + aim.cell_margin
     for i in range(len(off)):

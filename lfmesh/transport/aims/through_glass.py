@@ -1,9 +1,9 @@
-"""Aim at the lens through bodies of glass or liquid, from points inside them and behind them.
+"""Aim at the lens through glass or liquid, from points inside and behind it.
 
-Object space before the camera is divided into cells. In each of them a few bundles of directions are known that lead to
-the lens by way of glass: refracted through a plate, reflected at the wall of a tank, round both sides of a ball
-(`render.glass_aim`). A bundle is an ellipse of directions whose centre moves linearly with the point. Beside them some
-rays go straight to the lens's opening, see `mixture`.
+Object space before the camera is divided into cells. Each has a few known bundles of directions that lead to the lens
+through glass: refracted by a plate, reflected at the wall of a tank, around both sides of a ball (`render.glass_aim`).
+A bundle is an ellipse of directions with a centre that moves linearly with the point. Other rays go straight to the
+lens's opening, see `mixture`.
 """
 
 from typing import Any, NamedTuple
@@ -17,26 +17,26 @@ from lfmesh.transport.aims.disk import Vector
 
 CELL = np.dtype(
     [
-        ("axis", "i8"),  # along which it is divided, camera frame; −1: not divided
+        ("axis", "i8"),  # axis of its division, camera frame; −1: not divided
         ("border", "f8"),  # mm
         ("below", "i8"),  # number of the cell on the lower side of the border
         ("above", "i8"),
         ("straight", "f8"),  # share of rays that are aimed as if there were no glass
-        ("first", "i8"),  # of its bundles
-        ("bundles", "i8"),  # number of them
+        ("first", "i8"),  # number of its first bundle
+        ("bundles", "i8"),  # number of its bundles
     ]
 )
 
 BUNDLE = np.dtype(
     [
-        ("share", "f8"),  # of the cell's rays
+        ("share", "f8"),  # fraction of the cell's rays
         ("point", "f8", (3,)),  # mm, camera frame
-        ("axes", "f8", (3, 3)),  # unit vectors, camera frame; slopes are those along the first two over the third's
-        ("slope", "f8", (2,)),  # of the ellipse's centre from the point
-        ("per_mm", "f8", (2, 3)),  # change of that for each mm that a point is off, 1/mm
+        ("axes", "f8", (3, 3)),  # unit vectors, camera frame; slopes: components along the first two over the third
+        ("slope", "f8", (2,)),  # of the ellipse's centre, seen from the point
+        ("per_mm", "f8", (2, 3)),  # change of that slope with the position, 1/mm
         ("stretch", "f8", (2, 2)),  # from the unit disk to slopes
         ("squeeze", "f8", (2, 2)),  # from slopes to the unit disk
-        ("density", "f8"),  # in slopes, of directions even in the ellipse
+        ("density", "f8"),  # in slopes, of directions uniform in the ellipse
     ]
 )
 
@@ -51,9 +51,9 @@ class GlassAim(NamedTuple):
         The first holds all others.
     bundles : (m,) BUNDLE
     wide_share : float
-        Share of a bundle's rays that go to an ellipse that is wider.
+        Share of a bundle's rays that go to a wider ellipse.
     width : float
-        By how much it is wider.
+        Ratio of the wider ellipse to the bundle's.
     """
 
     cells: NDArray[np.void]
@@ -64,7 +64,7 @@ class GlassAim(NamedTuple):
 
 @inlined
 def cell_at(cells: NDArray[np.void], p: Vector) -> int:
-    """Return the number of the undivided cell that a point is in.
+    """Return the number of the undivided cell that contains a point.
 
     Parameters
     ----------
@@ -82,12 +82,12 @@ def cell_at(cells: NDArray[np.void], p: Vector) -> int:
 
 @inlined
 def share_of_bundles(glass: Any, p: Vector) -> float:
-    """Return the share of rays from a point that go through bundles; 0 where no glass is known.
+    """Return the share of rays from a point through bundles; 0 where no glass is known.
 
     Parameters
     ----------
     glass : GlassAim or None
-        None: nothing is aimed through glass, and numba compiles nothing of it.
+        None: nothing is aimed through glass, and numba skips this code.
     p : (3,) float, mm
     """
     if glass is None:
@@ -98,7 +98,7 @@ def share_of_bundles(glass: Any, p: Vector) -> float:
 
 @inlined
 def toward_bundle(glass: Any, p: Vector, numbers: Vector) -> Vector:
-    """Return the unit direction from a point to a place of the ellipse of one of its bundles.
+    """Return a direction from a point into the ellipse of one of its bundles.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def toward_bundle(glass: Any, p: Vector, numbers: Vector) -> Vector:
 
 @kernel
 def bundles_density(glass: Any, p: Vector, d: Vector) -> float:
-    """Return the density, 1/sr, of the rays from a point that go through bundles, times their share.
+    """Return the density, 1/sr, of a point's rays through bundles, times their share.
 
     Parameters
     ----------
@@ -155,20 +155,20 @@ def bundles_density(glass: Any, p: Vector, d: Vector) -> float:
         if place <= glass.width * glass.width:
             even += glass.wide_share / (glass.width * glass.width)
         if even > 0.0:
-            # An area in slopes is dω / cos³.
+            # The area element in slopes is dω / cos³.
             density += bundle.share * even * bundle.density / (along * along * along)
     return density
 
 
 @inlined
 def place_in_bundle(bundle: Any, p: Vector, d: Vector) -> tuple[float, float]:
-    """Return the squared distance of a direction from a bundle's centre, over its ellipse, and the cosine to its axis.
+    """Return a direction's squared distance from a bundle's centre, in its ellipse, and the cosine to its axis.
 
     Parameters
     ----------
     bundle : BUNDLE
     p : (3,) float, mm
-        The point, camera frame.
+        Point, camera frame.
     d : (3,) float
         Unit direction, camera frame.
     """
@@ -186,7 +186,7 @@ def place_in_bundle(bundle: Any, p: Vector, d: Vector) -> tuple[float, float]:
 
 @inlined
 def _centre(bundle: Any, p: Vector) -> tuple[float, float]:
-    """Return the slopes of the centre of a bundle as seen from a point."""
+    """Return the slopes of a bundle's centre seen from a point."""
     ax, ay, az = p[0] - bundle.point[0], p[1] - bundle.point[1], p[2] - bundle.point[2]
     per_mm = bundle.per_mm
     return (

@@ -1,1 +1,1 @@
-"""From a scene to an image: sources, classes of paths, adaptive sampling, both methods."""
+"""From a scene to an image: sources, path classes, adaptive sampling, both methods."""

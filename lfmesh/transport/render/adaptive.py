@@ -1,9 +1,9 @@
-"""Adaptive sampling: the number of further samples of each pixel in a second stage, from the noise of a first stage.
+"""Adaptive sampling: samples of each pixel in a second stage, by the noise of the first.
 
-The number is decided by a pixel's neighbours alone: those around it, and those at the same place in the micro-images of
-neighbouring lenslets. As pixels have independent random numbers, the decision is independent of the pixel's own first
-stage. So both stages may be averaged by their samples without bias, and their variances added. Weights from the pixel's
-own noise would favour the stage that missed the bright paths.
+Only neighbours decide: the pixels around, and at the same place in the micro-images of neighbouring lenslets. As pixels
+have independent random numbers, the decision is independent of the pixel's own first stage. The stages can therefore be
+averaged by their samples without bias, and their variances added. Weights from the pixel's own noise would favour the
+stage that missed the bright paths.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.uint8]
 
 DIM_SHARE = 0.05
-"""Share of the bright pixels' power that stands for a pixel's own in its relative error if the pixel is dimmer."""
+"""Floor of a pixel's power in its relative error, as a share of the bright pixels' power."""
 
 BRIGHT_PERCENTILE = 99.0
 
@@ -27,7 +27,7 @@ RING = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """Steps (rows, columns) to the eight pixels around."""
 
 ROWS_AT_ONCE = 256
-"""Rows of the sensor that are processed together, to bound the memory."""
+"""Rows of the sensor processed together, to bound the memory."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,15 @@ class Refinement:
     target_error : float
         Target relative standard error.
     max_samples : int
-        Largest number of samples of a pixel.
+        Largest number of samples per pixel.
     replicates : int
         Number of finished replicates of the second stage.
     samples : float
-        Samples of a pixel in both stages, mean over the pixels.
+        Samples per pixel in both stages, mean over the pixels.
     refined_share : float
-        Share of the pixels that have samples in the second stage.
+        Share of the pixels with samples in the second stage.
     capped_share : float
-        Share of the pixels that would have needed more than `max_samples`.
+        Share of the pixels that would need more than `max_samples`.
     """
 
     target_error: float
@@ -59,24 +59,24 @@ class Refinement:
 
 
 def samples_of(levels: Counts) -> NDArray[np.int64]:
-    """Return the samples in a replicate that levels stand for: none, 1, 2, 4, ..."""
+    """Return the samples in a replicate for levels: none, 1, 2, 4, ..."""
     return np.where(levels > 0, np.int64(1) << np.maximum(levels.astype(np.int64) - 1, 0), 0)
 
 
 def total_samples(levels: Counts, thinned: Callable[[int], int] = int) -> int:
-    """Return the samples of all pixels in a replicate; `thinned` maps the samples of a pixel to those of a part."""
+    """Return the samples of all pixels in a replicate; `thinned` maps a pixel's samples to a part's."""
     pixels = np.bincount(levels.ravel())
     samples = samples_of(np.arange(1, len(pixels), dtype=np.uint8))
     return sum(int(count) * thinned(int(each)) for count, each in zip(pixels[1:], samples, strict=True))
 
 
 def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, float]:
-    """Decide how many samples each pixel gets in a second stage.
+    """Return the samples of each pixel in a second stage, as levels.
 
     Parameters
     ----------
     mean, variance : (H, W, wavelengths) float64
-        Mean of the first stage, and the variance of that.
+        Mean of the first stage, and its variance.
     scene : Scene
         With `transport.target_error`.
 
@@ -85,7 +85,7 @@ def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, fl
     levels : (H, W) uint8
         See `samples_of`.
     capped_share : float
-        Share of the pixels that would have needed more than `max_samples`.
+        Share of the pixels that would need more than `max_samples`.
     """
     transport = scene.transport
     assert transport.target_error is not None
@@ -109,7 +109,7 @@ def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, fl
 
 
 def same_place(scene: Scene) -> list[tuple[tuple[int, int], ...]]:
-    """Return the steps (rows, columns) to the same place in the neighbouring micro-images, if there are any."""
+    """Return the steps (rows, columns) to the same place in neighbouring micro-images, if any."""
     mla, pitch = scene.camera.mla, solved_camera(scene).facts.micro_image_pitch_px
     if mla is None or pitch is None or pitch < 2.0:
         return []
@@ -118,9 +118,9 @@ def same_place(scene: Scene) -> list[tuple[tuple[int, int], ...]]:
 
 
 def _bright_of_other_squares(mean: Array) -> Array:
-    """Return the power of the bright pixels, (2, wavelengths), from one colour of a chessboard for the other.
+    """Return the bright pixels' power, (2, wavelengths), for each chessboard colour from the other.
 
-    So no pixel's own value enters.
+    A pixel's own value therefore does not enter.
     """
     bright = np.zeros((2, mean.shape[2]))
     for square in range(2):
@@ -134,10 +134,10 @@ def _bright_of_other_squares(mean: Array) -> Array:
 def _relative_variance(
     mean: Array, variance: Array, groups: list[tuple[tuple[int, int], ...]], low: int, high: int, bright: Array
 ) -> Array:
-    """Return the largest relative variance of any group of neighbours of a pixel, at any wavelength, (high − low, W).
+    """Return the largest relative variance of a pixel's neighbour groups at any wavelength, (high − low, W).
 
-    The relative variance of a group is its mean variance over its squared mean, which counts as at least `DIM_SHARE` of
-    the bright pixels' power.
+    The relative variance of a group is its mean variance over its squared mean. The mean counts as at least `DIM_SHARE`
+    of the bright pixels' power.
     """
     rows, columns, colours = mean.shape
     black = (np.arange(low, high)[:, None] + np.arange(columns)) % 2

@@ -1,9 +1,9 @@
-"""Allocation of samples to the parts of an image, by their variance and cost, measured before the run.
+"""Allocation of samples to the parts of an image, by measured variance and cost.
 
-The variance of an image whose parts take n samples each, at a cost c a sample, is Σ V / n. For a given Σ n c it is
-smallest where n goes as √(V / c). A few samples of some pixels measure V; what a packet meets, and not the clock, gives
-c, so that a run is bitwise the same wherever it is made. A part never gets fewer samples than `parts` says: what is
-rare may be missing in what was measured.
+If each part takes n samples at cost c per sample, the image has the variance Σ V / n. For a given Σ n c it is smallest
+if n ∝ √(V / c). A few samples of some pixels measure V. Event counts, not the clock, give c, so a run is bitwise the
+same on any machine. A part never gets fewer samples than `parts` specifies, because the measurement may miss rare
+light.
 """
 
 import math
@@ -18,20 +18,19 @@ from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.render.parts import Part
 
 LEAST_SAMPLES = 1 << 17
-"""Samples of an image, of all its pixels, below which measuring does not pay."""
+"""Samples of an image, over all pixels, below which measuring does not pay."""
 
 MEASURED, MEASURED_SHARE = 1 << 13, 64
-"""Packets of each part in each of two sets by which its variance is measured: at most, and one of how many samples of
-the image."""
+"""Packets per part in each of the two sets that measure its variance: the maximum, and the image samples per packet."""
 
 SAMPLES_OF_PATH, SAMPLES_OF_OTHERS = 8, 2
-"""Samples of each pixel that are measured: of the image path at most, whose Sobol' points are the better the more there
-are, and of other parts."""
+"""Samples per measured pixel: the maximum for the image path, as more Sobol' points are better, and the number for
+other parts."""
 
 EACH_NS, QUERY_NS = 100.0, 200.0
 EVENT_OF_PATH_NS, EVENT_OF_GHOST_NS, EVENT_NS = 5.0, 25.0, 75.0
-"""Processor time of a packet, of a query of Embree, and of an event: on the image path and of ghosts, which are traced
-in blocks, and of packets that are traced one by one; fitted to eight of the scenes in assets, on one core."""
+"""Processor time of a packet, of an Embree query, and of an event: on the image path and for ghosts, both traced in
+blocks, and for packets traced one by one. Fitted to eight of the scenes in assets, on one core."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +40,10 @@ class Measured:
     Attributes
     ----------
     variance : float, W²
-        Of one sample of a pixel, mean over the pixels, less one standard error: rare heavy paths, of which the samples
-        hold one by chance, decide nothing.
+        Variance of one sample of a pixel, mean over the pixels, less one standard error, so that a rare heavy path
+        found by chance decides nothing.
     cost : float, ns
-        Of a sample.
+        Cost of a sample.
     """
 
     variance: float
@@ -52,7 +51,7 @@ class Measured:
 
 
 def measured(part: Part, sets: NDArray[np.float64], samples: int, counts: NDArray[np.int64], queries: int) -> Measured:
-    """Return the variance and the cost of a part's samples.
+    """Return the variance and cost of a part's samples.
 
     Parameters
     ----------
@@ -60,10 +59,10 @@ def measured(part: Part, sets: NDArray[np.float64], samples: int, counts: NDArra
     sets : (2, pixels) float64, W
         Two independent estimates of some pixels.
     samples : int
-        Of each pixel in each of them.
+        Samples per pixel in each set.
     counts : (COUNTERS,) int64
     queries : int
-        What all the packets met.
+        Embree queries of all packets.
     """
     squares = 0.5 * samples * (sets[0] - sets[1]) ** 2
     error = squares.std(ddof=1) / math.sqrt(len(squares)) if len(squares) > 1 else math.inf
@@ -77,17 +76,17 @@ def measured(part: Part, sets: NDArray[np.float64], samples: int, counts: NDArra
 def shared(
     parts: tuple[Part, ...], pixels: int, samples: int, replicates: int, measure: Callable[[Part, int, int], Measured]
 ) -> tuple[Part, ...]:
-    """Return the parts of an image with the samples that their variances and costs ask for.
+    """Return the parts of an image, with samples by variance and cost.
 
     Parameters
     ----------
     parts : tuple of Part
     pixels : int
-        Of the image.
+        Pixels of the image.
     samples, replicates : int
-        Samples of a pixel in each replicate, and replicates.
+        Samples per pixel in each replicate, and replicates.
     measure : callable
-        Measures a part with so many pixels, and so many samples of each.
+        Measures a part with the given numbers of pixels and of samples per pixel.
     """
     thinned = [part for part in parts if part.options.adjoint and part.thinned > 1]
     total = pixels * samples * replicates
@@ -102,8 +101,8 @@ def shared(
 
 
 def _with_share(part: Part, path: Measured, own: Measured | None) -> Part:
-    """Return a part with the power of two by which its samples should be fewer than those of the image path."""
-    # Of an image path that few pixels see, chance may leave no variance to compare with.
+    """Return a part with its power-of-two divisor of samples, relative to the image path."""
+    # If few pixels see the image path, its variance may be 0 by chance.
     if own is None or not (own.variance > 0.0 and path.variance > 0.0):
         return part
     fewer = math.sqrt(path.variance / path.cost * own.cost / own.variance)

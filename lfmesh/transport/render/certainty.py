@@ -1,21 +1,20 @@
-"""The certainty of a pixel: its standard error, pooled with similar neighbours, and an upper bound.
+"""Certainty of a pixel: standard error, pooled with similar neighbours, and upper bound.
 
-Parts of an image are estimated independently, some by many samples that nearly all bring light, some by a few heavy
-ones. Each part has an error and a margin of its own, and the squares of these are added. So a pixel of many direct hits
-is known no better than the rarest of its light.
+Parts of an image are estimated independently, some by many samples that nearly all carry light, some by a few heavy
+ones. Each part has its own error and margin, and their squares are added. A pixel with many direct hits is thus no more
+certain than the rarest of its light.
 
 The spread over a few replicates is a poor estimate for a single pixel. With four replicates, a quarter of the pixels
-have by chance a third of their true error or less; and a pixel for which only rare samples differ has no spread until
-it meets one of them. Its neighbours have met them. So the variance reported for a pixel is the mean of its own and that
-of a pool: pixels around it and at its place in the neighbouring micro-images that are as bright and lie where the
-picture is as steep, since an edge is known less well than the areas beside it. Over any group of pixels that is not
-chosen by its noise, the mean of the variance stays unchanged. Few hits tell no brightness: pixels that are as dark by
-chance would say of each other that nothing was missed. With few, the pool is the pixels whose hits differ by no more
-than chance.
+have a third of their true error or less by chance. If only rare samples differ, a pixel has no spread until it meets
+one; its neighbours have met them. The reported variance of a pixel is therefore the mean of its own and that of a pool:
+pixels around it and at its place in the neighbouring micro-images that are as bright and lie where the picture is as
+steep, because an edge is less certain than areas beside it. The mean variance of any group of pixels not selected by
+noise stays unchanged. Few hits do not determine brightness: pixels dark by chance would confirm to each other that
+nothing was missed. Pixels with few hits are therefore pooled if their hits differ by no more than chance.
 
-A pixel next to much brighter ones may see what they see by a corner that none of its samples has met. Its own spread
-does not tell of that, nor does that of pixels as dark. The weight of the paths that its neighbours have met does, and
-enters the upper bound (see `weight_around`).
+A pixel next to much brighter ones may see their light through a corner that none of its samples has met. Its own spread
+and that of equally dark pixels do not show this, but the weight of paths met by its neighbours does. It enters the
+upper bound (see `weight_around`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,27 +30,26 @@ from lfmesh.transport.render.adaptive import RING, ROWS_AT_ONCE, same_place
 Array = NDArray[np.float64]
 
 AS_BRIGHT = 1.5
-"""Ratio of brightness up to which a neighbour belongs to the pool."""
+"""Largest ratio of brightness within a pool."""
 
 AS_STEEP = 2.0
-"""Ratio of steepness (the largest step to one of the eight pixels around) up to which a neighbour belongs to the
-pool."""
+"""Largest ratio of steepness within a pool; steepness is the largest step to one of the eight pixels around."""
 
 CONFIDENCE = 0.95
 
 RARE = 1e-3
-"""Share of the pixels whose hits bring more than the value taken as the largest."""
+"""Share of the pixels with hits above the value taken as the largest."""
 
 FEW_HITS = 10
 """Number of hits below which the spread of a pixel is not used alone."""
 
 BY_CHANCE = np.sqrt(2.0)
-"""Difference of the roots of two pixels' hits, each with 3/8 added (Anscombe 1948), that is within chance: two standard
+"""Difference of the roots of two pixels' hits, each plus 3/8 (Anscombe 1948), that is within chance: two standard
 deviations, as each root has one of 1/2."""
 
 
 def neighbours(scene: Scene) -> NDArray[np.int64]:
-    """Return the steps (n, 2) (rows, columns) to the pixels around, and to the same place in the next micro-images."""
+    """Return the steps (n, 2) (rows, columns) to the pixels around, and to the same place in adjacent micro-images."""
     steps = [*RING, *(step for group in same_place(scene) for step in group)]
     return np.array(steps, np.int64)
 
@@ -59,9 +57,9 @@ def neighbours(scene: Scene) -> NDArray[np.int64]:
 def pooled_error(
     part: "Estimate", steps: NDArray[np.int64], rows: slice = slice(None)
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Return the standard error of each pixel, its own variance pooled with that of neighbours as bright and as steep.
+    """Return each pixel's standard error, with variance pooled over neighbours as bright and as steep.
 
-    Where both have few hits, neighbours are alike whose hits are.
+    If both have few hits, neighbours are alike if their hits are.
 
     Parameters
     ----------
@@ -133,13 +131,13 @@ def _pool(
 
 @inlined
 def _are_within(factor: float, one: float, other: float) -> bool:
-    """Tell whether neither of two values is larger than the other by more than a factor."""
+    """Tell whether two values differ by no more than a factor."""
     return one <= factor * other and other <= factor * one
 
 
 @kernel
 def _steepness(mean: Array, row: int, column: int, colour: int) -> float:
-    """Return the largest difference between a pixel and those around it."""
+    """Return the largest difference between a pixel and the pixels around it."""
     rows, columns, _ = mean.shape
     largest = 0.0
     for r in range(max(row - 1, 0), min(row + 2, rows)):
@@ -149,11 +147,11 @@ def _steepness(mean: Array, row: int, column: int, colour: int) -> float:
 
 
 def typical_over_rms(pooled: NDArray[np.int64], groups: int) -> Array:
-    """Return the median of `pooled_error` over its rms, for normal groups, to correct a median of errors.
+    """Return the median of `pooled_error` over its rms, for normal groups, to correct medians of errors.
 
-    Half of the variance follows χ² with the groups' degrees of freedom ν, whose median is (1 − 2/(9 ν))³ (Wilson &
-    Hilferty 1931); the other half is the mean over the pool, which soon equals the true value. Within 3 % of what
-    random numbers give, from one pixel to a large pool.
+    Half of the variance follows χ² with the groups' degrees of freedom ν and has the median (1 − 2/(9 ν))³ (Wilson &
+    Hilferty 1931). The other half is the mean over the pool, which soon equals the true value. Accurate to 3 % against
+    random numbers, from one pixel to a large pool.
 
     Parameters
     ----------
@@ -167,14 +165,14 @@ def typical_over_rms(pooled: NDArray[np.int64], groups: int) -> Array:
 
 
 class Estimate(NamedTuple):
-    """An independent estimate of some of the light of an image: a part of it, or an image of a single part.
+    """Independent estimate of some of an image's light: a part of it, or a single-part image.
 
     Attributes
     ----------
     mean, stderr : (H, W, wavelengths) float64, W
     hits : (H, W, wavelengths) uint32
     samples : int
-        Least number of samples of a pixel; forward: number of packets in all.
+        Least number of samples per pixel; forward: total number of packets.
     """
 
     mean: Array
@@ -184,7 +182,7 @@ class Estimate(NamedTuple):
 
 
 class Certainty(NamedTuple):
-    """The certainty of every pixel of an image.
+    """Certainty of every pixel of an image.
 
     Attributes
     ----------
@@ -199,7 +197,7 @@ class Certainty(NamedTuple):
 
     @classmethod
     def of(cls, parts: Sequence[Estimate], scene: Scene, groups: int) -> "Certainty":
-        """Return the certainty of an image that is the sum of some parts.
+        """Return the certainty of an image, the sum of some parts.
 
         Parameters
         ----------
@@ -217,7 +215,7 @@ class Certainty(NamedTuple):
 
 
 def error_of(part: Estimate, steps: NDArray[np.int64]) -> Array:
-    """Return the standard error of each pixel of a part, (H, W, wavelengths) float64, W; see `errors_by_rows`."""
+    """Return each pixel's standard error in a part, (H, W, wavelengths) float64, W; see `errors_by_rows`."""
     error = np.empty_like(part.mean)
     for rows, some, _ in errors_by_rows(part, steps):
         error[rows] = some
@@ -225,10 +223,10 @@ def error_of(part: Estimate, steps: NDArray[np.int64]) -> Array:
 
 
 def errors_by_rows(part: Estimate, steps: NDArray[np.int64]) -> Iterator[tuple[slice, Array, NDArray[np.int64]]]:
-    """Yield the standard error of each pixel of a part some rows at a time, as a large image leaves no room for copies.
+    """Yield each pixel's standard error in a part some rows at a time, to save memory.
 
-    It is `pooled_error`, unless most of the part's hits fall on pixels with few. There neighbours may not have met the
-    paths that bring most of the light either, so the pool is all such pixels of the image, by their hits and one more.
+    It is `pooled_error`, unless most of the part's hits fall on pixels with few hits. Neighbours may then have missed
+    most of the light too, so the pool is all such pixels of the image, weighted by their hits plus one.
 
     Parameters
     ----------
@@ -256,7 +254,7 @@ def errors_by_rows(part: Estimate, steps: NDArray[np.int64]) -> Iterator[tuple[s
 
 
 def _square_of_rare_hits(part: Estimate) -> tuple[NDArray[np.bool_], Array]:
-    """Tell whether most hits fall on pixels with few, and return the variance there for each hit and one of each pixel.
+    """Tell whether most hits fall on pixels with few; return the variance there over hits plus pixels.
 
     Returns
     -------
@@ -274,21 +272,21 @@ def _square_of_rare_hits(part: Estimate) -> tuple[NDArray[np.bool_], Array]:
 
 
 def _are_few(hits: NDArray[np.uint32], samples: int) -> NDArray[np.bool_]:
-    """Tell which pixels have few hits, of enough samples for more."""
+    """Tell for each pixel whether it has few hits of enough samples."""
     return (hits < FEW_HITS) & (2 * hits < samples)
 
 
 def weight_around(mean: Array, error: Array, steps: NDArray[np.int64], rows: slice = slice(None)) -> Array:
-    """Return the light that one path brings to the neighbours of each pixel, the second largest of them.
+    """Return the second largest light of one path among each pixel's neighbours.
 
-    Paths of equal weight w that are met by chance have a variance of w times their mean, so w is error² / mean: of the
-    heaviest paths, however many light ones are met beside them. It is at most the mean. The largest is left out: a
-    single pixel that has met what hardly any meets says nothing of those around it.
+    Paths of equal weight w met by chance have a variance of w times their mean, so w is error² / mean: the weight of
+    the heaviest paths, however many light ones are met beside them. It is at most the mean. The largest is ignored: a
+    single pixel with an extremely rare path says nothing about its surroundings.
 
     Parameters
     ----------
     mean, error : (H, W, wavelengths) float64, W
-        Without an error, which is NaN, there is no weight.
+        An error of NaN gives no weight.
     steps : (n, 2) int64
         See `neighbours`.
     rows : slice
@@ -321,24 +319,27 @@ def _weigh(mean: Array, error: Array, steps: NDArray[np.int64], low: int, weight
 
 
 def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], steps: NDArray[np.int64], groups: int) -> Array:
-    """Return an upper bound of each pixel, (H, W, wavelengths) float64, W, with a confidence of 95 % for each.
+    """Return each pixel's upper bound, (H, W, wavelengths) float64, W, with a confidence of 95 % each.
 
-    Each part has a margin above its mean. Parts are independent, so the squares of the margins are added. With many
-    hits the margin is Student's one-sided quantile of errors. With fewer than `FEW_HITS`, the share of the samples that
-    bring light is bounded by the limit of Clopper & Pearson (1934): without a hit in n samples 1 − 0.05^(1/n), about
-    3/n. Each such sample is taken to bring the mean of the pixel's own hits and one further hit of the largest value:
-    the average hit in that pixel of a thousand where hits bring the most. Heavier paths, which are too rare to be
-    bounded in one pixel, are added as their mean over all pixels. However many hits it has, a pixel may have missed
-    paths that its neighbours have met: the limit without a hit, times their weight. The largest of the margins counts.
+    Each part has a margin above its mean. Parts are independent, so the squares of the margins are added. A part's
+    margin is the largest of these:
 
-    It does not bound light along paths of a kind that no sample of the whole image has found.
+    - Student's one-sided quantile of errors;
+    - with fewer than `FEW_HITS` hits, the Clopper & Pearson (1934) limit on the share of samples that carry light,
+      1 − 0.05^(1/n) or about 3/n without a hit in n samples, times the light of such a sample: the mean of the pixel's
+      own hits and one further hit of the largest value, the 99.9 % quantile of the pixels' average hits. Heavier paths,
+      too rare to be bounded in one pixel, add their mean over all pixels;
+    - the limit without a hit times the weight of paths met by neighbours, which the pixel may have missed however many
+      hits it has.
+
+    It does not bound light along kinds of paths that no sample of the whole image has found.
 
     Parameters
     ----------
     parts : sequence of Estimate
         Their sum is the image.
     errors : sequence of (H, W, wavelengths) float64, W
-        Of each part, see `error_of`.
+        Error of each part, see `error_of`.
     steps : (n, 2) int64
         See `neighbours`.
     groups : int
@@ -351,7 +352,7 @@ def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], steps: NDArr
     for part, error in zip(parts, errors, strict=True):
         # Without a spread, the bound rests on the hits alone.
         few = np.arange(FEW_HITS if groups > 1 else int(part.hits.max(initial=0)) + 1)
-        # With as many hits as samples, the limit of the share is 1.
+        # With as many hits as samples, the limit on the share is 1.
         missed = np.maximum(part.samples - few, 1.0)
         limit = np.where(few < part.samples, special.betaincinv(few + 1.0, missed, CONFIDENCE), 1.0)
         most, beyond = _largest_hit(part.mean, part.hits)
@@ -369,7 +370,7 @@ def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], steps: NDArr
 
 
 def _largest_hit(mean: Array, hits: NDArray[np.uint32]) -> tuple[Array, Array]:
-    """Return the largest value of a hit in all but rare pixels, and the mean light of the rare ones over all pixels.
+    """Return the largest value of a hit in all but rare pixels, and the rare ones' mean light over all pixels.
 
     Returns
     -------

@@ -1,10 +1,9 @@
 """Compile the kernels of a first render in two processes at once.
 
-On a fresh install nothing is compiled yet, and numba compiles one function at a time. So a second process compiles the
-kernels of the regions, which trace packets that wait at a station, while this one builds the world and compiles those
-that aim packets and take them along the image path and along ghosts. Both write to numba's cache on disk, where the
-render finds what the other has compiled. Where the second process fails, the render compiles everything itself.
-Meanwhile the render reports its progress, step by step.
+A fresh install has no compiled kernels, and numba compiles one function at a time. A second process therefore compiles
+the kernels of the regions, which trace packets that wait at a station. Meanwhile this process builds the world and
+compiles the kernels that aim packets and follow the image path and ghosts. The render loads all from numba's cache on
+disk, and compiles them itself if the second process fails. Progress is reported step by step.
 """
 
 import os
@@ -52,7 +51,7 @@ from lfmesh.transport.world import World, build
 ON_IMAGE_PATH = ((OBJECTS, False), (LENS, True))
 EVERYWHERE = tuple((station, False) for station in (OBJECTS, LENS, LENS_MESH, CELLS, PLATE, SENSOR))
 """Stations whose kernels the second process compiles for a render without and with paths off the image path, and
-whether they take packets along the image path alone."""
+whether they take packets along the image path only."""
 
 _CHILD = """
 import gc, os, sys
@@ -72,16 +71,16 @@ Report = Callable[[Progress], None]
 
 @contextmanager
 def compiled_ahead(scene: Scene, report: Report | None = None) -> Iterator["Ahead"]:
-    """Compile kernels that a render of the scene needs in a second process, unless they are cached.
+    """Compile a render's kernels in a second process, unless they are cached.
 
-    The process is stopped where the block raises.
+    The process is stopped if the block raises.
 
     Parameters
     ----------
     scene : Scene
-        To be rendered next.
+        Scene to be rendered next.
     report : callable, optional
-        Told how much is compiled.
+        Receives the progress.
     """
     ahead = Ahead(scene, report)
     try:
@@ -92,14 +91,14 @@ def compiled_ahead(scene: Scene, report: Report | None = None) -> Iterator["Ahea
 
 
 class Ahead:
-    """A second process that compiles the kernels of stations; none where it would not pay.
+    """Second process that compiles the kernels of stations; none if it would not pay.
 
     Parameters
     ----------
     scene : Scene
-        To be rendered next.
+        Scene to be rendered next.
     report : callable, optional
-        Told how much is compiled, where kernels are not cached.
+        Receives the progress if kernels are not cached.
     """
 
     def __init__(self, scene: Scene, report: Report | None = None) -> None:
@@ -112,7 +111,7 @@ class Ahead:
         cached = any(map(is_cached, kernels))
         self._report = None if cached else report
         self._say()
-        # The kernels of polarised and of diffracted light are others, and few scenes have it.
+        # Polarised and diffracted light has other kernels, and few scenes have it.
         usual = not scene.transport.polarisation and scene.transport.diffraction == "none"
         if processors() > 1 and usual and not cached:
             stations = ON_IMAGE_PATH if alone else EVERYWHERE
@@ -129,7 +128,7 @@ class Ahead:
                 self._process = None
 
     def join(self, world: World) -> None:
-        """Compile the kernels that launch packets of a world, and wait until the other process has compiled its own."""
+        """Compile the kernels that launch a world's packets, and wait for the other process."""
         if (process := self._process) is None:
             return
         self._steps += 1 + len(parts_of(world))
@@ -156,7 +155,7 @@ class Ahead:
                 self._others += 1
 
     def _say(self) -> None:
-        """Report the steps of both processes, if there are more than at the last report."""
+        """Report the steps of both processes, if there are new ones."""
         done = self._own + self._others
         if self._report is not None and done > self._said:
             self._said = done
@@ -176,7 +175,7 @@ def processors() -> int:
 
 
 def compile_launches(world: World, done: Callable[[], object] = object) -> None:
-    """Compile what launches the packets of a render, and what follows the image path and ghosts, by launching none.
+    """Compile a render's launch, image-path and ghost kernels without packets.
 
     Parameters
     ----------
@@ -206,16 +205,16 @@ def compile_stations(
     rounds: bool = False,
     done: Callable[[], object] = object,
 ) -> None:
-    """Compile the kernels of stations by a wave without packets at each; the camera has nothing that is aimed at.
+    """Compile the kernels of stations by an empty wave at each, in a scene without aim.
 
     Parameters
     ----------
     stations : tuple of (int, bool)
         As `EVERYWHERE`.
     glass : bool
-        Whether the scene has bodies of glass.
+        The scene has bodies of glass.
     rounds : bool
-        Whether rays meet spheres, cylinders or disks of the scene themselves.
+        Rays meet spheres, cylinders or disks of the scene exactly.
     done : callable
         Called after each station.
     """
@@ -245,7 +244,7 @@ BARE = {
     },
     "transport": {"samples": 1, "replicates": 1},
 }
-"""A camera that compiles nothing when it is built without aim."""
+"""Camera that compiles nothing when built without aim."""
 
 WALL: dict[str, Any] = {
     "shape": {"kind": "plane", "width_mm": 1.0, "height_mm": 1.0},

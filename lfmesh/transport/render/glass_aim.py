@@ -1,8 +1,8 @@
-"""The aim at the lens through glass, fitted to what probe rays tell before an image, and its proof by further ones.
+"""Aim at the lens through glass, fitted to probe rays, and its proof by further probes.
 
-The points at which the probes would be scattered divide object space into cells. In each cell the directions of the
-probes that have come the same way make a bundle: a centre that moves linearly with the point, and the ellipse round it
-that holds them. Cells are as small as the number of probes allows, and are joined again where that loses little.
+The points where probes would be scattered divide object space into cells. In each cell, the directions of probes that
+came the same way form a bundle: a centre that moves linearly with the point, and an ellipse around it that holds them.
+Cells are as small as the number of probes allows, and are joined again where that loses little.
 """
 
 import math
@@ -28,61 +28,62 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 PROBES, MOST_PROBES = 1 << 16, 1 << 17
-"""Number of probe rays to which the aim is fitted first, and largest number of them."""
+"""Number of probe rays for the first fit of the aim, and largest number."""
 
 FEWEST = 24
-"""Sights of a way from which a bundle is fitted; one of fewer takes the bundle of a larger cell."""
+"""Least number of sights of a way to fit a bundle; with fewer, the bundle of a larger cell is used."""
 
 FEWEST_IN_CELL = 2 * FEWEST
-"""Sights in each half of a cell that is divided."""
+"""Least number of sights in each half of a divided cell."""
 
 LOSS = 1.15
-"""By how much the mean weight of packets may grow where two cells are joined."""
+"""Largest factor by which joining two cells may increase the mean weight of packets."""
 
 IDLE = 3
-"""Divisions one after the other that do not lower it, after which a cell is not divided further."""
+"""Number of successive divisions without a lower weight that ends the division of a cell."""
 
 MARGIN = 1.1
 """Size of a bundle over the ellipse that holds the directions of its probes."""
 
 AROUND, EVERY = 0.15, 3
-"""Share of a cell's rays that go to the bundles of the cells around it, of which every third counts, and the largest:
-they hold what the few probes in the cell itself did not show."""
+"""Share of a cell's rays for the bundles of enclosing cells, the largest and every third: they hold directions that the
+few probes in the cell itself did not show."""
 
 STRAIGHT = 0.05
-"""Least share of a cell's rays that is aimed as if there were no glass."""
+"""Least share of a cell's rays aimed as if there were no glass."""
 
 FEW = 1e-3
 """Share of light that may be hardly aimed at without more probes."""
 
 TOO_MUCH = 0.02
-"""Share that the forward method refuses."""
+"""Share of hardly aimed light that the forward method refuses."""
 
 HARDLY = 100.0
-"""Weight of packets over that of others from which on their light is hardly aimed at."""
+"""Relative weight of packets above which their light counts as hardly aimed at."""
 
 KEPT = "aim through glass"
-"""Name by which a world keeps the aim and its proof."""
+"""Name under which a world keeps the aim and its proof."""
 
 FLATTEST = 1e-6
-"""Extent of a cell, and variance of a bundle's slopes, in one direction over that in others below which it is 0."""
+"""Extent of a cell in one direction, relative to others, below which it counts as 0; relative floor on the variance of
+a bundle's slopes."""
 
 STEEPEST = 0.2
 """Least cosine between the directions of a bundle and their mean."""
 
 
 class Bundle(NamedTuple):
-    """Directions of light that comes one way to the lens from points of a cell."""
+    """Directions of light that reaches the lens one way from a cell."""
 
     row: np.void  # BUNDLE
     size: float  # area of its ellipse, in slopes
     way: int = 0
     chance: float = 0.0  # share of light that goes its way
-    share: float = 0.0  # of the rays of a cell
+    share: float = 0.0  # share of the rays of a cell
 
 
 _Known = dict[int, tuple[Bundle, int]]
-"""Bundles of a cell by their ways, and the number of sights of each."""
+"""Bundles of a cell by way, with the number of sights of each."""
 
 
 @dataclass(frozen=True)
@@ -92,16 +93,16 @@ class Cell:
     Attributes
     ----------
     axis : int
-        Along which it is divided; −1: not divided.
+        Axis of its division; −1: not divided.
     border : float, mm
     halves : tuple of Cell
     bundles : tuple of Bundle
     straight : float
-        Share of rays that are aimed as if there were no glass.
+        Share of rays aimed as if there were no glass.
     count : int
         Number of sights.
     weight : float
-        Mean weight of packets that come to the lens from there.
+        Mean weight of packets from there at the lens.
     """
 
     axis: int
@@ -115,15 +116,15 @@ class Cell:
 
 @dataclass(frozen=True)
 class GlassProof:
-    """Measure of how well light that comes to the lens through glass, or off it, is aimed.
+    """Measured quality of the aim for light through or off glass.
 
     Attributes
     ----------
     missed : float
-        Share of the light that is hardly aimed at: packets that bring it have more than a hundred times the weight of
-        others. The largest share of the light of targets, of a medium or of an entry of particles.
+        Share of the light that is hardly aimed at: its packets have more than a hundred times the weight of others. The
+        largest share for targets, a medium or an entry of particles.
     probes : int
-        Number of probe rays by which they are measured.
+        Number of probe rays measured.
     """
 
     missed: float
@@ -133,24 +134,24 @@ class GlassProof:
 _aims: Kept[tuple[GlassAim | None, GlassProof | None]] = Kept()
 
 _OF_SAMPLES = dict.fromkeys(("method", "samples", "replicates", "seed", "threads", "target_error", "max_samples"))
-"""Settings of a scene that do not change where light comes through glass."""
+"""Settings of a scene that do not affect the paths of light through glass."""
 
 _STRAIGHT_ONLY = GlassAim(np.array([(-1, 0.0, 0, 0, 1.0, 0, 0)], CELL), np.zeros(0, BUNDLE), 0.0, 1.0)
 
 
 def has_glass(world: World) -> bool:
-    """Tell whether there are bodies of glass or liquid before the camera."""
+    """Tell whether glass or liquid stands before the camera."""
     return bool((world.tables.objects.medium != OPAQUE).any())
 
 
 class Fit(NamedTuple):
-    """Aim that is fitted to sights, with what its proof asks of its bundles.
+    """Aim fitted to sights, with its bundles' data for the proof.
 
     Attributes
     ----------
     aim : GlassAim
     way : (m,) uint64
-        Of each bundle.
+        Way of each bundle.
     chance : (m,) float64
         Share of light that goes its way.
     typical : (n,) float64
@@ -164,12 +165,12 @@ class Fit(NamedTuple):
 
 
 def glass_aim(world: World) -> tuple[GlassAim | None, GlassProof | None]:
-    """Return the aim through glass, None where no light comes to the sensor through glass, and its proof.
+    """Return the aim through glass and its proof; None without light through glass.
 
     Parameters
     ----------
     world : World
-        Which keeps them.
+        Keeps both.
     """
     if not has_glass(world):
         return None, None
@@ -193,13 +194,13 @@ def _found(world: World) -> tuple[GlassAim | None, GlassProof | None]:
         known = len(others.way) > 0 and not FEW < proof.missed <= TOO_MUCH
         if known or number >= MOST_PROBES:
             return fit.aim, proof
-        # What the proof has found is part of the next fit, which others prove.
+        # The next fit includes the sights of this proof, and new ones prove it.
         sights, number = sights.joined(others), 2 * number
         others = probe(world, number, number)
 
 
 def refuse_unaimed(world: World) -> None:
-    """Refuse a forward render of light of which too much comes to the lens through glass as it is not aimed.
+    """Refuse a forward render if too much light through glass is not aimed.
 
     Parameters
     ----------
@@ -219,12 +220,12 @@ def refuse_unaimed(world: World) -> None:
 
 
 def hardly_aimed(world: World) -> list[str]:
-    """Say that light is found so seldom that the picture may be darker than its error says.
+    """Return warnings of rarely found light that may make the picture darker than its error says.
 
     Parameters
     ----------
     world : World
-        For which a render has found the aim.
+        World of a render that has found the aim.
     """
     _, proof = world.kept.get(KEPT, (None, None))
     if proof is None or proof.missed <= FEW:
@@ -239,7 +240,7 @@ def hardly_aimed(world: World) -> list[str]:
 
 
 def fitted(world: World, sights: Sights) -> Fit:
-    """Return the aim that is fitted to sights.
+    """Return the aim fitted to sights.
 
     Parameters
     ----------
@@ -268,9 +269,9 @@ def fitted(world: World, sights: Sights) -> Fit:
 
 
 def _chances(sights: Sights) -> dict[int, float]:
-    """Return the share of light that comes each way from points from which it comes that way at all, at most.
+    """Return each way's largest share of the light in any small part of object space.
 
-    Of a way that is refracted everywhere it is about 1; of a reflection it is the reflectance.
+    It is about 1 for a way refracted everywhere; for a reflection it is the reflectance.
     """
     ways, number = np.unique(sights.way, return_inverse=True)
     most = np.zeros(len(ways))
@@ -292,7 +293,7 @@ def _number_of(cell: Cell) -> int:
 
 
 def _written(cell: Cell, cells: NDArray[np.void], number: int, bundles: list[Bundle], typical: Array) -> int:
-    """Write a cell and its parts from a row on, and its bundles; return the number of the next row."""
+    """Write a cell, its parts and bundles, from a row on; return the next free row."""
     row = cells[number]
     row["axis"], row["border"], row["straight"] = cell.axis, cell.border, cell.straight
     row["first"], row["bundles"] = len(bundles), 0
@@ -312,9 +313,9 @@ def _written(cell: Cell, cells: NDArray[np.void], number: int, bundles: list[Bun
 class _Division:
     """Division of object space into cells.
 
-    A ray that goes a way with the chance p, into a bundle of the size s, brings a weight t s / p, t being the share of
-    light that follows the way. With the share f of the light it adds f t s / p to the mean weight, which the chances
-    p ~ √(f t s) make least: (Σ √(f t s))².
+    A ray drawn with probability p for a way, into a bundle of size s, carries a weight t s / p, where t is the share of
+    light that follows the way. A way with the share f of the light adds f t s / p to the mean weight. The probabilities
+    p ~ √(f t s) minimise it: (Σ √(f t s))².
 
     Attributes
     ----------
@@ -328,13 +329,13 @@ class _Division:
     opening: float
 
     def cell(self, sights: Sights, around: tuple[_Known, ...] = (), before: float = np.inf, idle: int = 0) -> Cell:
-        """Return the cell of some sights, divided where that lowers the mean weight.
+        """Return the cell of some sights, divided if that lowers the mean weight.
 
         Parameters
         ----------
         sights : Sights
         around : tuple of dict
-            Bundles of the cells around it by their ways, the largest cell first.
+            Bundles of the enclosing cells by way, the largest cell first.
         before : float
             Mean weight in the last of them.
         idle : int
@@ -363,12 +364,12 @@ class _Division:
         return Cell(axis, border, halves, (), 1.0, len(sights.way), mean)
 
     def _rate(self, known: _Known, way: int) -> float:
-        """Return √(f t s) of a way, f being a number of sights."""
+        """Return √(f t s) of a way, where f is a number of sights."""
         bundle, count = known[way]
         return math.sqrt(count * self.chance[way] * bundle.size)
 
     def _mixed(self, straight: float, known: _Known, around: tuple[_Known, ...]) -> tuple[tuple[Bundle, ...], float]:
-        """Return all bundles to which a cell's rays go, with their shares, and the share of the straight aim."""
+        """Return a cell's bundles with their shares of rays, and the share of the straight aim."""
         larger = list({id(each): each for each in (*around[:1], *around[-EVERY::-EVERY]) if each}.values())
         levels = [(1.0 - AROUND if larger else 1.0, known)] if known else []
         levels += [((AROUND if known else 1.0) / len(larger), each) for each in larger]
@@ -387,7 +388,7 @@ class _Division:
 
 
 def _known(sights: Sights, around: _Known) -> _Known:
-    """Return a cell's bundles by their ways, with the numbers of their sights."""
+    """Return a cell's bundles by way, with their numbers of sights."""
     found = {}
     for way, count in zip(*np.unique(sights.way[sights.way != 0], return_counts=True), strict=True):
         bundle = around[int(way)][0] if int(way) in around else None
@@ -400,7 +401,7 @@ def _known(sights: Sights, around: _Known) -> _Known:
 
 
 def _bundle(point: Array, direction: Array) -> Bundle | None:
-    """Return the bundle of some directions from points of a cell; None if they differ too much, or not at all."""
+    """Return the bundle of directions from a cell; None if they differ too much, or not at all."""
     axis = direction.mean(axis=0)
     axis /= np.linalg.norm(axis)
     along = direction @ axis
@@ -428,7 +429,7 @@ def _bundle(point: Array, direction: Array) -> Bundle | None:
 
 
 def proof_of(fit: Fit, tables: AimTables, sights: Sights) -> GlassProof:
-    """Return the proof of an aim by sights that it was not fitted to; without any of them everything may be missed.
+    """Return the proof of an aim by other sights than fitted; without any, everything may be missed.
 
     Parameters
     ----------
@@ -450,7 +451,7 @@ def _weigh(
     glass: GlassAim, ways: NDArray[np.uint64], chance: Array, typical: Array, aim: LensAim, point: Array,
     direction: Array, way: NDArray[np.uint64], weight: Array,
 ) -> None:  # fmt: skip
-    """Write the weight with which packets bring light from a point in a direction, over the weight of others there.
+    """Write the weight of light from a point in a direction, relative to other packets there.
 
     Parameters
     ----------

@@ -1,12 +1,11 @@
-"""Groups of replicates: independent of each other, while the replicates of one group share a set of random numbers.
+"""Groups of replicates: independent, with random numbers shared within a group.
 
-Samples of a pixel that lie evenly over a band have far less colour noise than random ones. If each replicate did that
-for itself, more replicates of fewer samples would have more noise. So the replicates of a scene with bands form up to
-`GROUPS` groups. A group takes the samples that a single replicate of its size would take: one set of Sobol' points and
-of wavelengths for each pixel, of which each replicate traces some. Replicates of a group depend on each other, so that
-their spread says little of the error; the spread of the groups does.
+Samples of a pixel at even spacing over a band have far less colour noise than random ones. If each replicate spaced its
+own samples, more replicates of fewer samples would have more noise. Replicates of a scene with bands therefore form up
+to `GROUPS` groups. A group shares out the samples of a single replicate of its size: one set of Sobol' points and
+wavelengths per pixel. Its replicates are dependent, so only the spread of the groups measures the error.
 
-Replicates belong to the groups in turn, so that the first few of an interrupted render are of different groups.
+Replicates belong to the groups in turn, so the first few of an interrupted render are in different groups.
 """
 
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from lfmesh.scene import Scene
 from lfmesh.transport.sources.wavelengths import Turn
 
 GROUPS = 8
-"""Largest number of groups of a scene with bands: as many as a scene without a number of replicates has of these."""
+"""Largest number of groups of a scene with bands: the default number of replicates."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +27,9 @@ class Groups:
     Attributes
     ----------
     replicates : int
-        Of a stage.
+        Replicates of a stage.
     count : int
-        Number of groups: at most the number of replicates, each of which then is a group.
+        Number of groups: at most the number of replicates; each is then a group.
     """
 
     replicates: int
@@ -38,13 +37,13 @@ class Groups:
 
     @classmethod
     def of(cls, scene: Scene) -> Self:
-        """Return the groups of a scene: without bands, each replicate is one."""
+        """Return the groups of a scene; without bands, each replicate is one."""
         replicates = scene.transport.replicates
         return cls(replicates, replicates if scene.camera.sensor.bands is None else min(replicates, GROUPS))
 
     @classmethod
     def single(cls, scene: Scene) -> Self:
-        """Return the replicates of a scene as groups of one each: all of them are independent."""
+        """Return the replicates of a scene as independent groups of one."""
         return cls(scene.transport.replicates, scene.transport.replicates)
 
     @property
@@ -53,18 +52,18 @@ class Groups:
         return self.count < self.replicates
 
     def begun(self, finished: int) -> int:
-        """Return the number of groups that the first `finished` replicates of a stage belong to."""
+        """Return the number of groups begun by the first `finished` replicates of a stage."""
         return min(finished, self.count)
 
     def place(self, replicate: int) -> tuple[int, Turn]:
-        """Return the first replicate of the group of a replicate, whose key the group has, and its turn there.
+        """Return the first replicate of a replicate's group, which gives the group's key, and its turn.
 
-        Those of a group that follow each other take samples that lie apart, in the order of van der Corput.
+        Successive replicates of a group take samples far apart, in van der Corput order.
 
         Parameters
         ----------
         replicate : int
-            Numbered through, from the first stage to the second.
+            Numbered consecutively over both stages.
         """
         stage, number = divmod(replicate, self.replicates)
         member, group = divmod(number, self.count)
@@ -74,5 +73,5 @@ class Groups:
 
 
 def _radical_inverse(number: int) -> float:
-    """Return van der Corput's radical inverse in base 2: the binary digits, mirrored at the point."""
+    """Return van der Corput's radical inverse in base 2: binary digits mirrored at the point."""
     return int(f"{number:b}"[::-1], 2) / (1 << number.bit_length()) if number else 0.0

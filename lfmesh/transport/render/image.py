@@ -1,4 +1,4 @@
-"""The result of a render: mean and standard error of every pixel, and the ledger."""
+"""Result of a render: mean and standard error of every pixel, and the ledger."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -29,15 +29,15 @@ from lfmesh.transport.render.groups import Groups
 
 
 class UntracedLight(NamedTuple):
-    """Light that is added to an image, and that no path finds."""
+    """Light that no path finds, added to an image."""
 
     power: NDArray[np.float64]  # (H, W, wavelengths) W
-    warnings: tuple[PictureWarning, ...]  # by what it is or may be wrong
+    warnings: tuple[PictureWarning, ...]  # known and possible errors
 
 
 @dataclass
 class Image(Pictured):
-    """A raw sensor image in W per pixel.
+    """Raw sensor image in W per pixel.
 
     Attributes
     ----------
@@ -45,8 +45,8 @@ class Image(Pictured):
     stderr : (H, W, wavelengths) float64, W
         Standard error of `mean` from the spread of independent `groups` of replicates; NaN with fewer than two. It is 0
         in a pixel for which no path found light, and with few replicates often far too small. Weights 1/stderr² favour
-        the pixels that missed the bright paths, so that a mean weighted with them is too dark, the more so the fewer
-        hits there are. Weights from `error` do so less; plain sums over blocks of pixels are unbiased.
+        pixels that missed the bright paths, so the weighted mean is too dark, the more so the fewer hits there are.
+        Weights from `error` do so less; plain sums over blocks of pixels are unbiased.
     scene : Scene
         The scene as rendered: every distance solved, files inlined.
     ledger : Ledger
@@ -55,33 +55,32 @@ class Image(Pictured):
     replicates : int
         Number of finished replicates, of `scene.transport.replicates`.
     samples : float
-        Samples per pixel in the finished replicates, of both stages if there are two; mean over the pixels.
+        Samples per pixel in the finished replicates of all stages; mean over the pixels.
     engine : str
         The engine that ran, and the reason, in words.
     timings : dict
-        Seconds by part, and counts that go with them.
+        Seconds by part, and related counts.
     refinement : Refinement or None
-        Result of adaptive sampling, if there was any.
+        Result of adaptive sampling, if any.
     hits : (H, W, wavelengths) uint32, or None
         Number of samples that brought light to the pixel at the wavelength, over all finished replicates, stages and
-        parts of the image; None where they were not counted. Adjoint: paths started at the pixel, each counted once,
-        however many lights and targets it met and however often it split; if the image path and paths with reflections
-        are estimated separately, each starts its own paths. Forward: packets that fell on the pixel, of which several
-        may stem from one start.
+        parts of the image; None if not counted. Adjoint: paths started at the pixel, each counted once, however many
+        lights and targets it met and however often it split; if the image path and paths with reflections are estimated
+        separately, each starts its own paths. Forward: packets that fell on the pixel; several may stem from one start.
     aim : AimProof or None
         Proof that the aim holds all light.
     blind : BlindCheck or None
         Comparison with samples that were not aimed.
     order : OrderCheck or None
-        Comparison of surfaces of lens and array found by their order with those found by meshes; None where only meshes
-        were used.
+        Comparison of surfaces of lens and array found by order with surfaces found by meshes; None if only meshes were
+        used.
     coatings : dict of str to float
-        For each coating in use, the largest error of the reflectance and transmittance that were interpolated.
+        For each coating in use, the largest interpolation error of reflectance and transmittance.
     warnings : tuple of PictureWarning
-        By what the picture is or may be wrong, most important first: what `lf.render` warned of.
+        Known and possible errors of the picture, most important first, as warned by `lf.render`.
     certainty : Certainty or None
-        `error` and `upper`, made by the parts of the image; None of an image of a single part, where they follow from
-        `mean`, `stderr` and `hits`.
+        `error` and `upper`, from the parts of the image; None for a single part, where they follow from `mean`,
+        `stderr` and `hits`.
 
     See Also
     --------
@@ -117,9 +116,9 @@ class Image(Pictured):
 
     @property
     def groups(self) -> int:
-        """Number of independent groups of the finished replicates: one less are the degrees of freedom of `stderr`.
+        """Number of independent groups of the finished replicates; `stderr` has one fewer degree of freedom.
 
-        Each replicate is a group, but for scenes with bands. These have eight groups at most, whose replicates share
+        Each replicate is a group, except in scenes with bands. These have at most eight groups of replicates that share
         the wavelengths of their samples.
         """
         return Groups.of(self.scene).begun(self.replicates)
@@ -135,14 +134,13 @@ class Image(Pictured):
 
     @property
     def error(self) -> NDArray[np.float64]:
-        """Pooled standard error of each pixel, (H, W, wavelengths) float64, W; of a single part computed at each call.
+        """Pooled standard error of each pixel, (H, W, wavelengths) float64, W; for a single part computed at each call.
 
-        Of each part of the image the variance is the mean of the pixel's own and that of a pool. The pool holds the
-        pixel, the eight around it and those at its place in the adjacent micro-images, as far as they are as bright
-        (within a factor of 1.5) and lie where the picture is as steep (within a factor of 2). Where both have few hits,
-        it holds those whose hits differ by no more than chance. Of a part that few samples of nearly any pixel found,
-        it holds all such pixels. The pool makes up for the few replicates of one pixel. NaN with fewer than two
-        replicates.
+        For each part of the image, the variance is the mean of the pixel's own and that of a pool. The pool makes up
+        for the few replicates of one pixel. It holds the pixel, the eight around it and those at its place in the
+        adjacent micro-images, if they are as bright (within a factor of 1.5) and lie where the picture is as steep
+        (within a factor of 2). Pixels with few hits are pooled if these differ by no more than chance. For a part with
+        few hits in nearly all pixels, the pool holds all such pixels. NaN with fewer than two replicates.
         """
         if self.certainty is not None:
             return self.certainty.error
@@ -165,12 +163,11 @@ class Image(Pictured):
     def upper(self) -> NDArray[np.float64]:
         """Upper bound of each pixel, with a confidence of 95 % each, (H, W, wavelengths) float64, W.
 
-        Mean plus Student's quantile of standard errors. With few hits or none, the bound on the share of samples that
-        bring light, times the light of one such sample in the brightest pixels. At least that without a hit, times the
-        light of such paths as the neighbours have met: heavy ones may have been missed among many light ones. Of
-        several parts the margins are added
-        by their squares; of a single part it is computed at each call. See
-        `lfmesh.transport.render.certainty.upper_bound`.
+        The bound is the mean plus Student's quantile of standard errors. With few hits or none, it is the limit on the
+        share of samples that carry light, times the light of one such sample in the brightest pixels. It is at least
+        the limit without a hit, times the light of paths met by neighbours, as heavy paths may have been missed among
+        many light ones. The squares of several parts' margins are added; for a single part the bound is computed at
+        each call. See `lfmesh.transport.render.certainty.upper_bound`.
 
         Raises
         ------
@@ -184,7 +181,7 @@ class Image(Pictured):
         return upper_bound([self._estimate(self.hits)], [self.error], neighbours(self.scene), self.groups)
 
     def with_light(self, light: UntracedLight) -> "Image":
-        """Return the image with light that has no noise added to each pixel.
+        """Return the image with noise-free light added to each pixel.
 
         Parameters
         ----------
@@ -197,13 +194,13 @@ class Image(Pictured):
         power = light.power
         certainty = Certainty(self.error, self.upper + power)
         ledger = replace(self.ledger, untraced=self.ledger.untraced + float(power.sum()))
-        # A picture that paths find no light for is not black if it has such light.
+        # A picture without light from paths is not black if it has such light.
         of_traced = [each for each in self.warnings if not (power.any() and isinstance(each, BlackPictureWarning))]
         warnings = in_order([*of_traced, *light.warnings])
         return replace(self, mean=self.mean + power, certainty=certainty, ledger=ledger, warnings=warnings)
 
     def _estimate(self, hits: NDArray[np.uint32] | None) -> Estimate:
-        """Return the image as an estimate of a single part; without hits, every pixel counts as one with enough."""
+        """Return the image as a single-part estimate; without hits, every pixel counts as having enough."""
         transport = self.scene.transport
         samples = transport.samples_each * self.replicates
         if transport.method == "forward":
@@ -214,10 +211,10 @@ class Image(Pictured):
 
     @property
     def channel_names(self) -> tuple[str, ...]:
-        """Names of the bands; none where the channels are single wavelengths."""
+        """Names of the bands; none for channels of single wavelengths."""
         return self.scene.channel_names
 
     @property
     def wavelengths_nm(self) -> tuple[float, ...]:
-        """Wavelength of each channel of `mean`, nm; of a band the centroid of its response."""
+        """Wavelength of each channel of `mean`, nm; for a band, the centroid of its response."""
         return self.scene.wavelengths_nm

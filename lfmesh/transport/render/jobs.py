@@ -1,4 +1,4 @@
-"""Jobs: pieces of a render that other processes trace, folded to the same bits as in a single process."""
+"""Jobs: pieces of a render for other processes, folded to the bits of a single process."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,27 +23,27 @@ from lfmesh.transport.world import build
 
 @dataclass(frozen=True)
 class Job:
-    """A block of one replicate of a scene, for another process; it can be pickled.
+    """Block of one replicate of a scene, for another process; can be pickled.
 
     Attributes
     ----------
     scene : str
         The scene as TOML.
     folder : str
-        Folder that paths in the scene are relative to.
+        Base folder of paths in the scene.
     digests : tuple of (str, str)
-        Files that the scene reads, and the SHA-256 that they must have.
+        Files that the scene reads, and their required SHA-256.
     replicate : int
-        Numbered through, from the first stage to the second.
+        Numbered consecutively over both stages.
     block : Block
     chunk : int
         Number of packets that start a chunk.
     levels : (pixels,) uint8, or None
         Samples of each pixel in a second stage, see `lfmesh.transport.render.adaptive.samples_of`.
     threads : int, optional
-        In place of the scene's.
+        Overrides the scene's.
     program : dict of str
-        That asks for it, see `lfmesh.provenance.program`.
+        Program that requests the job, see `lfmesh.provenance.program`.
     """
 
     scene: str
@@ -64,12 +64,12 @@ Report = Callable[[Progress], None]
 
 
 def traced(job: Job) -> Piece:
-    """Trace a job; a process that traces several jobs of a scene builds its world once.
+    """Trace a job; a process builds its world once for several jobs of a scene.
 
     Raises
     ------
     LfmeshError
-        Another program asks for it than the one that would trace it.
+        The program that requests the job differs from this one.
     """
     refuse_other(job.program)
     tracer = _tracer(job.scene, job.folder, job.digests, job.chunk, job.threads)
@@ -85,19 +85,19 @@ def _tracer(scene: str, folder: str, digests: tuple[tuple[str, str], ...], chunk
 def jobs_of(
     scene: Scene, replicates: Iterable[int], cut: Sequence[Block], chunk: int = CHUNK, levels: Counts | None = None
 ) -> Iterator[Job]:
-    """Yield the jobs of some replicates, all blocks of one before those of the next.
+    """Yield the jobs of some replicates, all blocks of one before the next.
 
     Parameters
     ----------
     scene : Scene
     replicates : iterable of int
-        Numbered through, from the first stage to the second.
+        Numbered consecutively over both stages.
     cut : sequence of Block
         Blocks that make up the sensor.
     chunk : int
         Number of packets that start a chunk; the bits of the image depend on it.
     levels : (pixels,) uint8, optional
-        Of the second stage.
+        Levels of the second stage.
     """
     text, folder, digests = scene.dump_toml(), str(scene.folder.resolve()), tuple(sorted(scene.digests.items()))
     for replicate in replicates:
@@ -109,20 +109,20 @@ def reduced(
     tracer: Tracer, reduce: Reduce, blocks: int = 1, *, keep: Keeper | None = None,
     saved: Mapping[str, NDArray[Any]] | None = None, progress: Report | None = None, untraced: Untraced | None = None,
 ) -> Image:  # fmt: skip
-    """Render a scene in jobs whose pieces may come back joined; the image is bitwise that of `lf.render`.
+    """Render a scene in jobs that may return joined pieces; the image is bitwise that of `lf.render`.
 
     Parameters
     ----------
     tracer : Tracer
-        Of the scene; the bits of the image depend on its chunk.
+        Tracer of the scene; the bits of the image depend on its chunk.
     reduce : callable
         See `Reduce`.
     blocks : int
-        Approximate number of jobs for each replicate.
+        Approximate number of jobs per replicate.
     keep : Keeper, optional
         Called with the state after every replicate.
     saved : dict of arrays, optional
-        State that `keep` was given, to go on from.
+        State from `keep`, to continue from.
     progress : callable, optional
         Called after every replicate.
     untraced : callable, optional

@@ -1,7 +1,7 @@
 """Renders on a cluster, through the scheduler of dask.distributed.
 
-Workers trace blocks of replicates, and join the pieces of a replicate in a tree, so that one piece of each replicate
-comes back. They read the scene's files at the same paths as this process, and refuse files that differ.
+Workers trace blocks of replicates and join the pieces in a tree, so that one piece per replicate comes back. They read
+the scene's files at the same paths as this process, and refuse files that differ.
 """
 
 import os
@@ -27,13 +27,13 @@ from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.world import build
 
 JOBS = 2
-"""Jobs of a replicate for each thread of the workers, about: the slowest keeps the others waiting for less."""
+"""Approximate jobs of a stage per worker thread: with more of them, the slowest delays the others less."""
 
 AHEAD = 4
-"""Jobs given to the scheduler for each thread of the workers: it need not wait for us, and memory stays flat."""
+"""Jobs given to the scheduler per worker thread: it need not wait for us, and memory stays flat."""
 
 WIDTH = 4
-"""Pieces that a worker joins at a time."""
+"""Number of pieces that a worker joins at a time."""
 
 
 def render_on_cluster(
@@ -46,11 +46,11 @@ def render_on_cluster(
     Parameters
     ----------
     scene : Scene
-        Its files have the digests that `Scene.pinned` notes, if it was called.
+        Its files have the digests that `Scene.pinned` records, if it was called.
     address : str
-        Of a scheduler, such as "tcp://10.0.0.1:8786", or "local".
+        Address of a scheduler, such as "tcp://10.0.0.1:8786", or "local".
     workers : int, optional
-        Processes of a local cluster; as many as this machine has cores if omitted.
+        Processes of a local cluster. Default: number of cores of this machine.
     progress : callable, optional
         Called after every replicate.
     saved, keep, untraced
@@ -71,7 +71,7 @@ def render_on_cluster(
 
 
 def _pieces(client: Any, jobs: Iterable[Job]) -> Iterator[Piece]:
-    """Yield a piece of each replicate."""
+    """Yield one piece per replicate."""
     waiting: deque[tuple[Any, int]] = deque()
     submit = partial(client.submit, pure=False, retries=RETRIES)
     for _, own in groupby(jobs, key=lambda job: job.replicate):

@@ -1,7 +1,6 @@
-"""The plan of a replicate: its chunks in a fixed order, and blocks of pixels into which it may be cut.
+"""Plan of a replicate: chunks in a fixed order, and blocks of pixels.
 
-A chunk is the work of one thread at a time. The chunks do not depend on the cut; they are numbered in the order in
-which they are folded.
+A chunk is the work of one thread at a time. Chunks do not depend on the blocks; they are numbered in folding order.
 """
 
 from collections.abc import Iterator
@@ -19,14 +18,14 @@ PIXELS_SORTED = 1 << 20
 
 
 Piece = tuple[int, int, int, NDArray[np.int64] | None]
-"""First pixel or packet and number of them, samples of each pixel, and the pixels' numbers, as in `Chunk`."""
+"""First pixel or packet and their number, samples per pixel, and pixel numbers, as in `Chunk`."""
 
 
 @dataclass(frozen=True)
 class Chunk:
     """Consecutive pixels (adjoint) or packets (forward) of one replicate, part and channel.
 
-    In a second stage, pixels that have the same number of samples.
+    In a second stage, pixels with the same number of samples.
 
     Attributes
     ----------
@@ -34,19 +33,19 @@ class Chunk:
         Place in the order of folding.
     part : Part
     first, count : int
-        Number of the first pixel or packet, and how many.
+        Number of the first pixel or packet, and their count.
     channel : int
-        Number of the image's channel.
+        Channel of the image.
     packets : int
-        Number of packets that it starts.
+        Number of packets that the chunk starts.
     samples : int
-        Samples of each pixel.
+        Samples per pixel.
     pixels : (count,) int64, or None
-        Pixel numbers; None for those from `first` on.
+        Pixel numbers; None for consecutive ones from `first`.
     owner : int
-        Pixel whose block books it.
+        Pixel in the block that books the chunk.
     place : int
-        Place of its part among those of the image.
+        Place of its part in the image.
     """
 
     number: int
@@ -61,13 +60,13 @@ class Chunk:
     place: int = 0
 
     def pixel_numbers(self) -> NDArray[np.int64]:
-        """Return the pixels that it starts from."""
+        """Return the numbers of the chunk's pixels."""
         return np.arange(self.first, self.first + self.count) if self.pixels is None else self.pixels
 
 
 @dataclass(frozen=True)
 class Block:
-    """Pixels from `first` up to `last`, not included, and the same share of the packets that start from lights."""
+    """Pixels from `first` to `last` (excluded), and the same share of packets from lights."""
 
     first: int
     last: int
@@ -87,7 +86,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Plan:
-    """The division of a scene's replicates into chunks.
+    """Division of a scene's replicates into chunks.
 
     Attributes
     ----------
@@ -96,7 +95,7 @@ class Plan:
     lines : Lines
         Wavelengths of the channels.
     samples : int
-        Samples of a pixel in each replicate of the first stage.
+        Samples per pixel in each replicate of the first stage.
     chunk : int
         Number of packets that start a chunk.
     replicates : int
@@ -110,7 +109,7 @@ class Plan:
     replicates: int = 1
 
     def chunks(self, replicate: int, levels: Counts | None = None) -> Iterator[Chunk]:
-        """Yield a replicate's chunks in the order of folding; `levels` (pixels,): of the second stage."""
+        """Yield a replicate's chunks in folding order; `levels` (pixels,) selects the second stage."""
         number = 0
         for place, part in enumerate(self.parts):
             for channel in range(self.lines.channels):
@@ -137,7 +136,7 @@ class Plan:
             yield first, min(per_chunk, self.pixels - first), samples, None
 
     def _second(self, part: Part, levels: Counts) -> Iterator[Piece]:
-        """Yield the chunks of a replicate of the second stage, which join pixels with the same number of samples."""
+        """Yield the chunks of a second-stage replicate, of pixels with equal samples."""
         if not part.options.adjoint:
             return
         for block in range(0, self.pixels, PIXELS_SORTED):
@@ -151,7 +150,7 @@ class Plan:
                     yield int(some[0]), len(some), samples, some
 
     def _packets(self, part: Part) -> int:
-        """Return the packets that a replicate of the first stage starts in a part in each channel."""
+        """Return a part's packets per channel in a first-stage replicate."""
         return part.packets(self.pixels, self.samples, self.replicates)
 
     def packets(self, levels: Counts | None = None) -> int:
@@ -169,7 +168,7 @@ class Plan:
         """Cut the pixels into about the wanted number of blocks.
 
         Any cut gives the same bits. Borders lie between chunks of the first stage, if the number of samples is a power
-        of two, and between the pixels that a second stage sorts together, so that hardly any chunk is traced twice.
+        of two, and between the pixels that a second stage sorts together, so hardly any chunk is traced twice.
         """
         adjoint = [part.samples(self.samples) for part in self.parts if part.options.adjoint]
         step = max(max(1, self.chunk // samples) for samples in adjoint or [self.samples])

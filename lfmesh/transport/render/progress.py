@@ -5,22 +5,22 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Progress:
-    """One report of a running render.
+    """Report of a running render.
 
     Attributes
     ----------
     done : int
-        Packets started so far, over all replicates; before tracing, steps finished.
+        Packets started so far, over all replicates; before tracing, finished steps.
     total : int
-        Packets in all; before tracing, steps, 0 while their number is not known.
+        Total packets; before tracing, steps, 0 while unknown.
     seconds : float
-        Wall-clock time since tracing, or what comes before, began.
+        Wall-clock time since the start of tracing, or of the stage before it.
     replicate : int
-        Replicates finished.
+        Finished replicates.
     replicates : int
-        Replicates in all; 0 before tracing.
+        Total replicates; 0 before tracing.
     stage : str
-        Name of the stage: "tracing", "refining", or what a first render of an installation does before.
+        Name of the stage: "tracing", "refining", or the work before an installation's first render.
     """
 
     done: int
@@ -32,10 +32,10 @@ class Progress:
 
     @property
     def rate(self) -> float:
-        """Packets, or steps, a second since the stage began; 0 before the first."""
+        """Packets, or steps, per second in the stage; 0 before the first."""
         return self.done / self.seconds if self.seconds > 0.0 else 0.0
 
     @property
     def seconds_left(self) -> float | None:
-        """Time left at this rate; None before the first packet is done."""
+        """Time left at this rate; None before the first packet."""
         return (self.total - self.done) / self.rate if self.rate > 0.0 else None

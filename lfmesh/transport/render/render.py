@@ -1,4 +1,4 @@
-"""Rendering: from a scene by its plan, the tallies of replicates and their sum to an image."""
+"""Rendering: from a scene through its plan and tallies to an image."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -34,19 +34,19 @@ Array = NDArray[np.float64]
 PROGRESS_SECONDS = 0.2
 
 Tallies = Callable[[int, Counts | None], Iterator[Tally]]
-"""Yields the tallies of a stage's replicates in order, given the first number and, for the second stage, `levels`."""
+"""Yields the tallies of a stage's replicates in order, from the first number and, for the second stage, `levels`."""
 
 
 Untraced = Callable[[World, Callable[[Progress], None] | None], UntracedLight]
-"""Computes light that is not traced: of particles, whose waves diffraction follows. Given the world, and what is told
-the progress."""
+"""Computes light that is not traced, of particles in scenes with diffraction. Called with the world and a receiver of
+progress."""
 
 
 class Keeper(Protocol):
-    """Saves a render's state for another process to continue; copies what it needs before it returns."""
+    """Saves a render's state for another process to continue; copies it before returning."""
 
     def __call__(self, state: RenderState, *, last: bool) -> None:
-        """Save the state after another replicate, or the `last` one before the render stops early."""
+        """Save the state after a replicate, or the `last` one before an early stop."""
 
 
 def render(
@@ -64,8 +64,8 @@ def render(
     ----------
     scene : Scene
     progress : callable or bool, optional
-        Called a few times a second, in the calling thread. True shows a bar (on standard error, or below a notebook's
-        cell), False nothing; left out, there is a bar in a notebook alone.
+        Called a few times per second, in the calling thread. True shows a bar (on standard error, or below a notebook's
+        cell), False nothing. Default: a bar in notebooks only.
     saved : dict of arrays, optional
         State of an interrupted render of this scene, from `lfmesh.transport.render.tally.arrays_of`. The render
         continues from there, and its image is bitwise that of an uninterrupted one.
@@ -74,7 +74,7 @@ def render(
     untraced : callable, optional
         See `Untraced`; needed by particles with diffraction.
     world : World, optional
-        The scene's, from `lf.build`. Omitted, the scene is built, unless this process has its world already.
+        The scene's, from `lf.build`. If omitted, the scene is built, unless this process already has its world.
 
     Returns
     -------
@@ -84,15 +84,15 @@ def render(
     Warns
     -----
     PictureWarning
-        The picture is or may be wrong; its classes say how, and `Image.warnings` keeps them. What is known beforehand
-        is warned of before the first ray.
+        The picture is or may be wrong. The warning's class says how, and `Image.warnings` keeps it. Errors known in
+        advance are warned of before the first ray.
 
     Raises
     ------
     KeyboardInterrupt
         Interrupted before the first replicate was finished.
     LfmeshError
-        The scene cannot be built, or `saved` or `world` is of another one.
+        The scene cannot be built, or `saved` or `world` belongs to another scene.
     """
     with watched(progress) as report:
         with compiled_ahead(scene, report) as ahead:
@@ -105,7 +105,7 @@ def render(
 def untraced_light(
     world: World, untraced: Untraced | None, progress: Callable[[Progress], None] | None = None
 ) -> UntracedLight | None:
-    """Return light that is added to the image of a world; None where there is none.
+    """Return untraced light to add to an image; None without any.
 
     Parameters
     ----------
@@ -113,12 +113,12 @@ def untraced_light(
     untraced : callable, optional
         Computes it.
     progress : callable, optional
-        Told its progress.
+        Receives its progress.
 
     Raises
     ------
     LfmeshError
-        There is some, and nothing to compute it by.
+        There is such light, but no `untraced`.
     """
     if not adds_particles(world):
         return None
@@ -131,7 +131,7 @@ def untraced_light(
 
 
 def warned(tracer: Tracer, image: Callable[[], Image]) -> Image:
-    """Make an image; warn of what may be wrong with it, before it is made as far as that is known.
+    """Make an image; warn of its known and possible errors as early as possible.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def warned(tracer: Tracer, image: Callable[[], Image]) -> Image:
 
 
 def warn_beforehand(tracer: Tracer) -> tuple[PictureWarning, ...]:
-    """Warn of what may be wrong with a picture, as far as it is known before it is traced; return the warnings.
+    """Warn of errors of a picture known before tracing; return the warnings.
 
     Parameters
     ----------
@@ -154,20 +154,20 @@ def warn_beforehand(tracer: Tracer) -> tuple[PictureWarning, ...]:
     """
     world = tracer.world
     before = in_order([*foreseen(world), *proofs(world.scene, world.aim_proof, tracer.order)])
-    # Of those of the world `build` has warned.
+    # `build` has already issued the warnings of the world.
     warn_caller(each for each in before if each not in world.warnings)
     return before
 
 
 @dataclass
 class Renderer(Tracer):
-    """A render under way in this process.
+    """Render in progress in this process.
 
     Attributes
     ----------
     progress : callable, optional
     light : UntracedLight, optional
-        Light that is added, see `untraced_light`.
+        Light to add, see `untraced_light`.
     """
 
     progress: Callable[[Progress], None] | None = None
@@ -199,9 +199,9 @@ class Renderer(Tracer):
         return image if self.light is None else image.with_light(self.light)
 
     def _begun(self, state: RenderState, first: int, levels: Counts | None) -> Iterator[tuple[Tally, int]]:
-        """Yield a stage's replicates that are not finished, in the memory of a single tally, with their places.
+        """Yield a stage's unfinished replicates with their places, in the memory of one tally.
 
-        One that was interrupted is gone on with: what its films hold of chunks that were not folded is removed.
+        An interrupted replicate is continued: light of chunks that were not folded is removed from its films.
         """
         replicates = self.world.scene.transport.replicates
         tally = state.partial or self.layout.tally(second=levels is not None)
@@ -212,7 +212,7 @@ class Renderer(Tracer):
                     if chunk.part.options.adjoint:
                         tally.films[chunk.place].clear_pixels(chunk.pixel_numbers(), chunk.channel)
             else:
-                # What was kept of another replicate, which others have finished since, is none to go on from.
+                # The kept part belongs to a replicate that others have finished since.
                 state.partial = None
                 tally.restart(replicate)
             yield tally, number
@@ -220,11 +220,11 @@ class Renderer(Tracer):
     def _chunks_folded(
         self, pool: Threads, state: RenderState, tally: Tally, levels: Counts | None
     ) -> Iterator[None]:  # fmt: skip
-        """Trace what a replicate lacks, and stop after each chunk that is folded in."""
+        """Trace the missing chunks of a replicate; yield after each one folded in."""
         left = islice(self.plan.chunks(tally.replicate, levels), tally.chunks, None)
         with closing(self.traced(pool, tally.replicate, left, tally.films)) as chunks:
             for chunk in chunks:
-                # While a chunk is added, the tally is none that one could go on from.
+                # While a chunk is being added, the tally cannot be continued.
                 state.partial = None
                 tally.add(chunk)
                 state.partial = tally
@@ -236,9 +236,9 @@ class Renderer(Tracer):
         Parameters
         ----------
         number : int
-            Replicates finished.
+            Finished replicates.
         done, one : int
-            Packets done in this replicate, and packets in all of it.
+            Packets done in this replicate, and its total.
         """
         now = time.perf_counter()
         if self.progress is None or now - self._last_report < PROGRESS_SECONDS:
@@ -262,14 +262,14 @@ class Clock:
 
 
 def number_of(number: int, replicates: int, levels: Counts | None) -> int:
-    """Return the replicate at a place of a stage; those of the second stage have other random numbers.
+    """Return the replicate at a place of a stage; second-stage random numbers differ.
 
     Parameters
     ----------
     number : int
         Place in the stage.
     replicates : int
-        Replicates of a stage.
+        Replicates per stage.
     levels : (pixels,) uint8, or None
         None: the first stage.
     """
@@ -277,7 +277,7 @@ def number_of(number: int, replicates: int, levels: Counts | None) -> int:
 
 
 def folded(tracer: Tracer, state: RenderState, tallies: Tallies, clock: Clock, keep: Keeper | None = None) -> Image:
-    """Fold the tallies of both stages into the state, and return its image.
+    """Fold both stages' tallies into the state, and return its image.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ def folded(tracer: Tracer, state: RenderState, tallies: Tallies, clock: Clock, k
     Raises
     ------
     KeyboardInterrupt
-        Interrupted before the first replicate of the first stage was finished; what was traced of it is kept by `keep`.
+        Interrupted before the first replicate of the first stage was finished; `keep` saves the part traced so far.
     """
     transport = tracer.world.scene.transport
 
@@ -307,7 +307,7 @@ def folded(tracer: Tracer, state: RenderState, tallies: Tallies, clock: Clock, k
                     if keep is not None:
                         keep(state, last=False)
         except KeyboardInterrupt:
-            # Inside `add` the sum may hold part of a replicate, and is not valid.
+            # Inside `add` the sum may hold part of a replicate and be invalid.
             if not between:
                 raise
             state.seconds = clock.seconds
@@ -331,7 +331,7 @@ def folded(tracer: Tracer, state: RenderState, tallies: Tallies, clock: Clock, k
 
 
 def _refined(tracer: Tracer, first: StageSum, second: StageSum, levels: Counts, capped: float) -> Refinement:
-    """Average the second stage into the first one's mean."""
+    """Average the second stage into the first stage's mean."""
     transport = tracer.world.scene.transport
     assert transport.target_error is not None
     # A single replicate has no spread and so no error.
@@ -349,10 +349,10 @@ def _refined(tracer: Tracer, first: StageSum, second: StageSum, levels: Counts, 
 
 
 def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) -> Image:
-    """Make the image of a state, reusing the state's memory."""
+    """Make the image of a state in its memory."""
     first = state.first
     certainty = _certainty(tracer, first)
-    # Those that samples without aim cannot find come last.
+    # The parts that samples without aim cannot find come last.
     own = sum(not part.from_lamps for part in tracer.parts)
     total = first.means[0]
     for mean in first.means[1:own]:
@@ -365,7 +365,7 @@ def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) ->
         total.add_estimate(mean)
     variance = total.variance()
     ledger = tracer.ledger(first.book, first.work, first.count)
-    # The energy is of the first stage, in which all pixels have the same samples; the work is of both stages.
+    # Energy is from the first stage, with equal samples for all pixels; work is from both stages.
     work = first.work
     if state.second is not None:
         work.add(state.second.work)
@@ -399,7 +399,7 @@ def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) ->
 
 
 def _certainty(tracer: Tracer, first: StageSum) -> Certainty | None:
-    """Return the errors and bounds of an image of several parts; None of a single part, which tells them itself."""
+    """Return the errors and bounds of a multi-part image; None for a single part, which gives them itself."""
     if len(tracer.parts) == 1:
         return None
     scene = tracer.world.scene

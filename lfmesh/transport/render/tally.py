@@ -1,9 +1,9 @@
-"""Tallies: the results of a render's replicates, and their running sum.
+"""Tallies: results of a render's replicates, and their running sum.
 
-The flow is chunk → tally of a replicate → sum of a stage → state of the render → image. Each part of an image has films
-and means of its own, up to the image. All of it is numbers and numpy arrays, which can be pickled, and saved and loaded
-with `arrays_of` and `filled`. Every sum is folded in a fixed order,
-chunk by chunk and replicate by replicate, so that the result does not depend on which process traced what and when.
+The flow is chunk → tally of a replicate → sum of a stage → state of the render → image. Each part of an image has its
+own films and means up to the image. All are numbers and numpy arrays, which can be pickled, saved by `arrays_of` and
+loaded by `filled`. Sums are folded in a fixed order, chunk by chunk and replicate by replicate, so the result does not
+depend on the processes and their timing.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,7 +23,7 @@ Shape = tuple[int, int, int]
 
 @dataclass
 class Film:
-    """The light of a part in one replicate, or in a block of its pixels.
+    """Light of a part in one replicate, or in a block of its pixels.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Film:
     hits : (pixels, wavelengths) uint32
         Number of samples that brought light; forward: of packets.
     origin : int
-        Number of the pixel in the first row.
+        Pixel number of the first row.
     """
 
     power: Array
@@ -67,14 +67,14 @@ class Film:
         np.add.at(self.hits, (fallen["pixel"], fallen["colour"]), np.uint32(1))
 
     def part(self, first: int, last: int) -> "Film":
-        """Return a copy of the pixels from number `first` up to `last`, not included."""
+        """Return a copy of the pixels from number `first` to `last` (excluded)."""
         rows = slice(first - self.origin, last - self.origin)
         return Film(self.power[rows].copy(), self.hits[rows].copy(), first)
 
 
 @dataclass
 class Work:
-    """Counts and times of the work done.
+    """Counts and times of work.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Work:
 
 @dataclass
 class ChunkTally:
-    """Result of one chunk, apart from the light that it added to a film.
+    """Result of one chunk, except for the light that it added to a film.
 
     Attributes
     ----------
@@ -115,9 +115,9 @@ class ChunkTally:
         Entries of the books.
     work : Work
     deposits : (n,) DEPOSIT
-        Packets traced forward that fell on pixels.
+        Forward packets that fell on pixels.
     part : int
-        Place of its part among those of the image.
+        Place of its part in the image.
     """
 
     number: int
@@ -129,15 +129,15 @@ class ChunkTally:
 
 @dataclass
 class Piece:
-    """A block's share of a replicate, not yet folded, as chunks of other blocks may come in between.
+    """Block's share of a replicate, not yet folded because of chunks of other blocks in between.
 
     Attributes
     ----------
     replicate : int
     first, last : int
-        The block's pixels, from number `first` up to `last`, not included.
+        The block's pixels, from number `first` to `last` (excluded).
     films : tuple of Film
-        Light of these pixels, by parts that start from pixels.
+        Light of these pixels, for each part that starts from pixels.
     chunks : list of ChunkTally
         Chunks that begin in the block.
     blind : BlindSamples or None
@@ -152,7 +152,7 @@ class Piece:
 
 
 def joined(pieces: Sequence[Piece]) -> Piece:
-    """Return neighbouring pieces of a replicate as one; that adds nothing up, so that the bits are the same.
+    """Return neighbouring pieces of a replicate as one, without sums, so the bits stay the same.
 
     Parameters
     ----------
@@ -176,13 +176,13 @@ class Tally:
     ----------
     replicate : int
     films : tuple of Film
-        Film of all pixels of each part, those that start from pixels first.
+        Film of all pixels for each part; parts that start from pixels first.
     book : (BOOKS, slots) float64
     work : Work
     blind : BlindSamples or None
-        Samples that are not aimed, by which the image is checked.
+        Unaimed samples to check the image.
     chunks : int
-        Number of chunks that are folded in, the first ones of the plan.
+        Number of chunks folded in, the first ones of the plan.
     """
 
     replicate: int
@@ -203,14 +203,14 @@ class Tally:
         self.chunks = 0
 
     def add(self, chunk: ChunkTally) -> None:
-        """Add the next chunk, whose light from pixels is already on the film."""
+        """Add the next chunk; its light from pixels is already on the film."""
         self.book += chunk.book
         self.work.add(chunk.work)
         self.films[chunk.part].deposit(chunk.deposits)
         self.chunks += 1
 
     def merge(self, pieces: Iterable[Piece]) -> None:
-        """Fold the pieces of the tally's replicate, given in any order, to the same bits as in a single process.
+        """Fold the pieces of the tally's replicate, in any order, to the bits of a single process.
 
         Raises
         ------
@@ -238,9 +238,9 @@ class Tally:
 
 @dataclass
 class Mean:
-    """Running mean and sum of squared deviations over replicates (Welford 1962), with the sum of their hits.
+    """Running mean and sum of squared deviations over replicates (Welford 1962), and sum of hits.
 
-    Of replicates in groups, the deviations are those of the sums of each group.
+    For replicates in groups, the deviations are of the groups' sums.
     """
 
     mean: Array
@@ -250,7 +250,7 @@ class Mean:
     final: bool = False
     """True once `squares` has become the variance."""
     groups: Array | None = None
-    """Sums of the replicates of each group; None where each replicate is a group."""
+    """Sums of the replicates of each group; None if each replicate is a group."""
 
     @classmethod
     def empty(cls, shape: Shape, groups: int | None = None) -> "Mean":
@@ -265,7 +265,7 @@ class Mean:
             self.groups[self.count % len(self.groups)] += sample
         self.count += 1
         self.hits += film.hits.reshape(self.hits.shape)
-        # Row by row, to avoid temporary arrays of the size of the film, which may be large.
+        # Row by row, to avoid large temporary arrays.
         for mean, squares, row in zip(self.mean, self.squares, sample, strict=True):
             change = row - mean
             mean += change / self.count
@@ -282,8 +282,8 @@ class Mean:
     def variance(self) -> Array:
         """Return the variance of the mean, in place of `squares`; NaN from fewer than two replicates.
 
-        Of groups with sums S of m replicates each it is Σ (S − m mean)² / ((Σ m)² − Σ m²). That has no bias where the
-        variance of a sum goes as m, nor where all m are the same.
+        For groups with sums S of m replicates each it is Σ (S − m mean)² / ((Σ m)² − Σ m²). That is unbiased if the
+        variance of a sum is proportional to m, or if all m are equal.
         """
         if not self.final:
             freedom = self.count * (self.count - 1)
@@ -300,12 +300,12 @@ class Mean:
 
 @dataclass
 class StageSum:
-    """The sum over the replicates of a stage so far.
+    """Sum over the replicates of a stage so far.
 
     Attributes
     ----------
     means : tuple of Mean
-        Of each part, those that start from pixels first.
+        Mean of each part; parts that start from pixels first.
     book : (BOOKS, slots) float64
     work : Work
     blind : BlindSamples or None
@@ -333,7 +333,7 @@ class StageSum:
 
 @dataclass
 class RenderState:
-    """State of a render: all that is needed to continue it.
+    """State of a render, complete enough to continue it.
 
     Attributes
     ----------
@@ -343,8 +343,7 @@ class RenderState:
     seconds : float
         Wall-clock time spent.
     partial : Tally or None
-        The replicate that is being traced, of the stage under way. Its films may hold light of chunks that are not
-        folded yet.
+        Replicate in progress, of the current stage. Its films may hold light of chunks not yet folded.
     """
 
     first: StageSum
@@ -363,11 +362,11 @@ class Layout:
     book : (books, slots)
     counters : int
     parts, from_pixels : int
-        Parts of the image, and number of those, the first ones, that start from pixels.
+        Parts of the image, and the number of parts, the first ones, that start from pixels.
     blind : bool
-        Whether the image is checked by samples without aim.
+        Samples without aim check the image.
     groups : int, optional
-        Number of groups that the replicates belong to in turn; None where each is a group.
+        Number of groups that the replicates belong to in turn; None if each is a group.
     """
 
     shape: Shape
@@ -379,23 +378,23 @@ class Layout:
     groups: int | None = None
 
     def tally(self, *, second: bool = False) -> Tally:
-        """Return an empty tally of a replicate of the first or the second stage."""
+        """Return an empty tally of a first- or second-stage replicate."""
         pixels, colours = self.shape[0] * self.shape[1], self.shape[2]
         films = tuple(Film.empty(pixels, colours) for _ in range(self._parts(second)))
         return Tally(0, films, np.zeros(self.book), self._work())
 
     def stage(self, *, second: bool = False) -> StageSum:
-        """Return the sum of the first or the second stage that has not begun."""
+        """Return the empty sum of the first or second stage."""
         means = tuple(Mean.empty(self.shape, self.groups) for _ in range(self._parts(second)))
         blind = BlindSamples(*self.shape) if self.blind and not second else None
         return StageSum(means, np.zeros(self.book), self._work(), blind)
 
     def _parts(self, second: bool) -> int:
-        """Return the number of parts of a stage: a second one has samples of pixels alone."""
+        """Return the number of parts of a stage; a second stage has only pixel samples."""
         return self.from_pixels if second else self.parts
 
     def state(self, saved: Mapping[str, NDArray[Any]] | None = None) -> RenderState:
-        """Return the state of a render that has not begun, or the state that was saved by `arrays_of`.
+        """Return the state of a new render, or the state saved by `arrays_of`.
 
         Raises
         ------
@@ -421,7 +420,7 @@ class Layout:
 
 
 def arrays_of(value: Any, name: str = "") -> dict[str, NDArray[Any]]:
-    """Return dataclasses of this file as named arrays, as `np.savez` takes them; fields that are None are left out."""
+    """Return dataclasses of this file as named arrays for `np.savez`, without fields that are None."""
     if is_dataclass(value) or isinstance(value, tuple):
         found: dict[str, NDArray[Any]] = {}
         for key, each in _items(value):
@@ -433,12 +432,12 @@ def arrays_of(value: Any, name: str = "") -> dict[str, NDArray[Any]]:
 
 
 def filled(template: Any, arrays: Mapping[str, NDArray[Any]], name: str = "") -> Any:
-    """Fill empty dataclasses with arrays from `arrays_of`, and return them.
+    """Fill empty dataclasses with arrays from `arrays_of`; return them.
 
     Parameters
     ----------
     template : dataclass, or tuple of them
-        Has the shapes and types that the arrays must have.
+        Has the required shapes and types.
     arrays : dict of arrays
     name : str
         Prefix of the names.
@@ -470,7 +469,7 @@ def filled(template: Any, arrays: Mapping[str, NDArray[Any]], name: str = "") ->
 
 
 def _items(value: Any) -> list[tuple[str, Any]]:
-    """Return the fields of a dataclass, or the members of a tuple, by name."""
+    """Return a dataclass's fields, or a tuple's members, by name."""
     if isinstance(value, tuple):
         return [(str(number), each) for number, each in enumerate(value)]
     return [(each.name, getattr(value, each.name)) for each in fields(value)]

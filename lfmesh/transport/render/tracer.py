@@ -1,4 +1,4 @@
-"""Tracing of a replicate, or of a block of one: its chunks in a pool of threads, results in their order."""
+"""Tracing of a replicate or a block of it: chunks in a thread pool, results in order."""
 
 import os
 import time
@@ -40,8 +40,8 @@ from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import World
 
 ORDER_STREAM, SHARES_STREAM = 1 << 20, 1 << 21
-"""Numbers of the random numbers of the packets by which the order of the surfaces is checked, and of those by which the
-parts' shares of the samples are found; replicates have others."""
+"""Stream numbers of the random numbers for the check of the surface order and for the parts' shares of the samples,
+outside those of replicates."""
 
 Waiting = deque[Future[ChunkTally]]
 """Future results of chunks given to the pool, in order."""
@@ -49,12 +49,12 @@ Waiting = deque[Future[ChunkTally]]
 _orders: Kept[OrderCheck | None] = Kept()
 
 NO_FILM = Film.empty(0, 1)
-"""For packets that are not traced from pixels."""
+"""Film for packets that do not start from pixels."""
 
 
 @dataclass
 class Tracer:
-    """Traces replicates of a world.
+    """Tracer of a world's replicates.
 
     Attributes
     ----------
@@ -62,15 +62,15 @@ class Tracer:
     chunk : int
         Number of packets that start a chunk.
     aimed : bool
-        Forward: aim scattered light at the entrance pupil. If not, packets are scattered at random and most miss the
-        lens: the paper's method without its aiming, to measure its gain.
+        Forward: aim scattered light at the entrance pupil. If not, packets scatter at random and most miss the lens:
+        the paper's method without aiming, to measure the gain.
     stratified : bool
         Adjoint: start paths from scrambled Sobol' points instead of random ones.
     check : bool
         Compare the image with blind samples.
     independent : bool
-        Each replicate takes the wavelengths of bands by itself, so that any two of them are independent. If not, those
-        of a group share them, see `render.groups`.
+        Each replicate takes its own wavelengths of bands, so that any two are independent. If not, a group shares them,
+        see `render.groups`.
     """
 
     world: World
@@ -142,7 +142,7 @@ class Tracer:
         book : (BOOKS, slots) float64
             Sum over the replicates.
         work : Work
-            Of all of them.
+            Total work of the replicates.
         replicates : int
         """
         mean, unit = book / max(replicates, 1), "m² sr" if self.adjoint else "W"
@@ -152,22 +152,22 @@ class Tracer:
         return ledger
 
     def pool(self) -> Threads:
-        """Return the threads to trace in."""
+        """Return the pool of tracing threads."""
         return Threads(self.threads)
 
     def piece(self, replicate: int, block: Block, levels: Counts | None = None) -> Piece:
-        """Trace a block of a replicate; the block of the first pixel also takes the replicate's samples without aim.
+        """Trace a block of a replicate; the first pixel's block also takes the samples without aim.
 
         Parameters
         ----------
         replicate : int
         block : Block
         levels : (pixels,) uint8, optional
-            Of the second stage.
+            Levels of the second stage.
         """
         mine = [chunk for chunk in self.plan.chunks(replicate, levels) if block.touches(chunk)]
         started = [chunk.pixel_numbers() for chunk in mine if chunk.part.options.adjoint]
-        # A chunk across the border also adds light to pixels of the neighbouring block, which are cut off at the end.
+        # A chunk across the border also lights pixels of the neighbouring block, which are cut off at the end.
         low = min([block.first, *(int(pixels[0]) for pixels in started)])
         high = max([block.last, *(int(pixels[-1]) + 1 for pixels in started)])
         films = tuple(Film.empty(high - low, self.channels, low) for _ in range(self.layout.from_pixels))
@@ -183,7 +183,7 @@ class Tracer:
     def traced(
         self, pool: Threads, replicate: int, chunks: Iterator[Chunk], films: Sequence[Film]
     ) -> Generator[ChunkTally]:
-        """Trace chunks; add the light of their pixels to empty films, and yield their other results in order.
+        """Trace chunks; add their pixels' light to empty films, and yield the other results in order.
 
         Parameters
         ----------
@@ -191,7 +191,7 @@ class Tracer:
         replicate : int
         chunks : iterator of Chunk
         films : sequence of Film
-            Of the parts that start from pixels.
+            Films of the parts that start from pixels.
         """
         first, turn = self.groups.place(replicate)
         key = descendant(self.seed, first)
@@ -216,7 +216,7 @@ class Tracer:
         return tally
 
     def blind_samples(self, pool: Threads, replicate: int) -> BlindSamples:
-        """Trace a replicate's blind samples, by which the image is checked."""
+        """Trace a replicate's blind samples, which check the image."""
         found = BlindSamples(*self.shape)
         part = self._blind_part
         key = descendant(self.seed, replicate)
@@ -246,10 +246,10 @@ class Tracer:
         return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.place)
 
     def _check_order(self) -> OrderCheck | None:
-        """Compare some packets at the lens, and some ghosts, with the meshes; None if there are none.
+        """Compare some packets at the lens, and some ghosts, with the meshes; None without any.
 
-        Once for a camera: which surfaces come in which order is no matter of the seed, nor of what stands before it.
-        Light of lamps reaches the camera by what stands there, so that the forward method asks for each scene.
+        Done once per camera, as the order of surfaces depends neither on the seed nor on the scene before the camera.
+        The forward method does it for each scene, because the scene decides the lamp light that reaches the camera.
         """
 
         def compared() -> OrderCheck | None:
@@ -263,18 +263,18 @@ class Tracer:
         return _orders.of(digest_of(camera, before, options, self.world.lines.middle), compared)
 
     def _compared_ghosts(self) -> OrderCheck | None:
-        """Compare some ghosts with the meshes; None if they are not estimated by themselves."""
+        """Compare some ghosts with the meshes; None without their own estimator."""
         part = next((part for part in self.parts if part.options.paths == GHOSTS), None)
         if part is None:
             return None
         work, _ = self._sampled(part, many=True)
-        # Where no pixel sees an opening of the lens none waits.
+        # No packet waits if no pixel sees an opening of the lens.
         return compare_ghosts(self.world, work)
 
     def _compared_in_order(self) -> OrderCheck | None:
         """Compare packets at the lens with the meshes; None if no part finds surfaces by their order.
 
-        The sample is of the part that follows all reflections, or the only one there is.
+        The sample comes from the part that follows all reflections, or from the only part.
         """
         asking = [part for part in self.parts if part.options.faces == BY_ORDER_OR_MESH]
         if not asking:
@@ -288,7 +288,7 @@ class Tracer:
         return compare(self.world, part.options, part.tables, packets[np.sort(some)])
 
     def _measured(self, part: Part, count: int, samples: int) -> Measured:
-        """Measure the variance and the cost of a part by some samples of some pixels."""
+        """Measure the variance and cost of a part by some samples of some pixels."""
         key = descendant(self.seed, SHARES_STREAM)
         pixels = np.unique(np.random.default_rng(int(key)).integers(0, self.pixels, count))
         chunk = Chunk(0, part, 0, len(pixels), 0, len(pixels) * samples, samples, pixels)
@@ -302,13 +302,13 @@ class Tracer:
         return measured(part, sets, samples, counts, queries)
 
     def _sampled(self, part: Part, *, many: bool = False) -> tuple[Workspace, np.random.Generator]:
-        """Start some packets of a part; return their workspace, and the random numbers that have drawn them.
+        """Start some packets of a part; return their workspace and the random generator used.
 
         Parameters
         ----------
         part : Part
         many : bool
-            Several of each pixel where there are few pixels.
+            Start several per pixel if there are few pixels.
         """
         key = descendant(self.seed, ORDER_STREAM)
         draw = np.random.default_rng(int(key))
@@ -318,14 +318,14 @@ class Tracer:
         chunk = Chunk(0, part, 0, count, 0, count * samples, samples, pixels)
         work = Workspace(self.world, part.options, STARTS, part.tables)
         work.begin(Film.empty(self.pixels if part.options.adjoint else 0, 1, 0), count * samples)
-        # Of one wavelength: what is compared is followed in one wave.
+        # One wavelength, because the compared packets are followed in one wave.
         self._source(chunk, key, 0, self.world.lines.middle).launch(work, range(count))
         return work, draw
 
     def _source(
         self, chunk: Chunk, key: np.uint64, channel: int, nodes: Nodes | None = None, turn: Turn = ALONE
     ) -> Source:
-        """Return the source of a chunk's packets; `channel`: column of the film; `nodes`: in place of the channel's."""
+        """Return the source of a chunk's packets; `channel`: film column; `nodes` override the channel's."""
         nodes = nodes or self.world.lines.nodes[chunk.channel]
         if chunk.part.particles is not None:
             return ParticleSource(chunk.part.particles, chunk.first, chunk.count, chunk.samples, key, nodes, turn)
@@ -334,6 +334,6 @@ class Tracer:
         return PixelSource(chunk.pixel_numbers(), chunk.samples, key, nodes, self.stratified, channel, turn)
 
     def _launcher(self, part: Part) -> Launcher:
-        """Return the launcher of a part, which the first call makes."""
+        """Return a part's launcher, made at the first call."""
         new = partial(Workspace, self.world, part.options, self.chunk, part.tables)
         return self._launchers.setdefault(part.number, Launcher(new))

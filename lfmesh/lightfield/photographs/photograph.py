@@ -59,7 +59,7 @@ class Photograph(Pictured):
     @property
     def covered(self) -> Array:
         """(t, s): `coverage`, or 1 at known samples and 0 at others."""
-        known = np.isfinite(self.mean).all(axis=2).astype(np.float64)
+        known = np.asarray(np.isfinite(self.mean).all(axis=2), dtype=np.float64)
         return known if self.coverage is None else np.asarray(known * self.coverage)
 
     def __repr__(self) -> str:

@@ -1,10 +1,10 @@
 """Proof that the aim holds all light, by rays that start in the stop and are traced both ways.
 
-Aiming decides where samples go, never what light there is; light outside the aim is found only by the few samples that
-go anywhere, with large weights. Rays drawn uniformly in the stop, over all directions, are independent of the search
-that made the aim. Traced to the sensor and to object space, each either is or is not a ray that the aim could draw. The
-throughput of those that are not, over the throughput of all, is the share that the aim misses. It is measured when a
-world is built, and the aim is widened until the share is negligible. Where that does not succeed, rays go anywhere.
+Aiming decides where samples go, never how much light there is. Light outside the aim is found only by the few samples
+that go anywhere, with large weights. Rays drawn uniformly in the stop, over all directions, are independent of the
+search that made the aim. Each is traced to the sensor and to object space. The share that the aim misses is the
+throughput of rays that it could not draw, over the total throughput. A build measures this share and widens the aim
+until it is negligible. If that fails, rays go anywhere.
 """
 
 from typing import Any, NamedTuple
@@ -32,24 +32,24 @@ from lfmesh.transport.tables.tables import (
 Array = NDArray[np.float64]
 
 CONFIDENCE = 0.95
-"""With which a share is known to be below its bound, when it is decided whether it is allowed."""
+"""Confidence of the bounds that decide whether a share is allowed."""
 
 ROUNDS = 8
-"""Number of times that rays are drawn, at most, until they tell whether the share is allowed."""
+"""Most draws of rays to decide whether the share is allowed."""
 
 ATTEMPTS = 5
-"""Number of attempts to fit the aim, each with its own rays."""
+"""Most attempts to fit the aim, each with its own rays."""
 
 FEWEST = 3000
-"""Least number of rays by which the light over the views is measured. Rings that none of them meets hold less than 1e-3
-of the light (with 95 % confidence), and main rays do not go there."""
+"""Fewest rays that measure the light over the views. Rings that none of them meets hold less than 1e-3 of the light
+(with 95 % confidence), and main rays do not go there."""
 
 FEW_CELLS = 6.5
-"""Value of `AimTables.search`, in pitches, above which the views are taken to be far too wide."""
+"""Value of `LensletAim.search`, in pitches, above which the views are taken to be far too wide."""
 
 
 GROWTH_OF_VIEWS = (1.0, 2.0, 3.0)
-"""Factors on the radii of lenslets' views with which the aim after diffraction is tried."""
+"""Factors on the radii of the lenslets' views, tried for the aim after diffraction."""
 
 
 class Missed(NamedTuple):
@@ -63,13 +63,13 @@ class Missed(NamedTuple):
 
     @property
     def most(self) -> float:
-        """Upper bound of the share, by the number of rays outside (Poisson), of the mean weight that they have."""
+        """Upper bound of the share, from the number of rays outside (Poisson) and their mean weight."""
         number, weight = self._outside
         return float(weight * gammaincinv(number + 1.0, CONFIDENCE))
 
     @property
     def least(self) -> float:
-        """Lower bound of the share, likewise."""
+        """Lower bound of the share, in the same way."""
         number, weight = self._outside
         return float(weight * gammaincinv(number, 1.0 - CONFIDENCE)) if number > 0.0 else 0.0
 
@@ -82,21 +82,21 @@ class Missed(NamedTuple):
 class AimProof(NamedTuple):
     """Result of the proof of an aim by rays from the stop.
 
+    Few rays measure a share poorly, so its upper bound decides whether the proof holds.
+
     Attributes
     ----------
     rays : int
-        Number of rays that came through lens and array to the sensor.
+        Number of rays that reached the sensor.
     sensor, objects : Missed
-        Share missed by the aim from the sensor, and by the aim from the targets.
+        Shares missed by the aims from the sensor and from the targets.
     fitted : int
-        Number of times that the aim was fitted to rays.
+        Number of fits of the aim to rays.
     diffracted : Missed, optional
-        Of a camera whose lenslets diffract: share missed by the aim from the sensor after diffraction, but for changes
-        of direction that are far, see `kick_aim.MOST_GROWTH`.
+        Share missed by the aim from the sensor after diffraction at the lenslets, without large changes of direction
+        (see `kick_aim.MOST_GROWTH`).
     fallback : bool
-        Whether the fitted aim still missed more than is allowed, so that more rays, or all, go anywhere.
-
-    A share that few rays tell is as large as chance has it: so its upper bound decides whether the proof holds.
+        The fitted aim missed more than is allowed, so more rays, or all, go anywhere.
     """
 
     rays: int
@@ -113,7 +113,7 @@ class AimProof(NamedTuple):
 
     @property
     def is_open(self) -> bool:
-        """True if more rays might tell that the share is allowed, or that it is not."""
+        """True if more rays might decide whether the share is allowed."""
         return max(self.sensor.least, self.objects.least) <= ALLOWED < self.most
 
     @property
@@ -128,7 +128,7 @@ class AimProof(NamedTuple):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "AimProof":
-        """Return the proof whose `_asdict` was written as JSON."""
+        """Return the proof from the JSON form of its `_asdict`."""
         sensor, objects = (Missed(*values[side]) for side in ("sensor", "objects"))
         diffracted = values.get("diffracted")
         return cls(
@@ -145,7 +145,7 @@ def proven_aim(
 ) -> tuple[AimTables, AimProof | None]:
     """Return the aim tables of a scene, and their proof by rays from the stop.
 
-    None in place of the proof: the lens is not exact, a surface scatters light, or no ray arrives at the sensor.
+    The proof is None if the lens is not exact, a surface scatters light, or no ray arrives at the sensor.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def proven_aim(
 def _proven_aim(
     scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, analytic: bool
 ) -> tuple[AimTables, AimProof | None]:
-    """Return the aim tables of a scene and their proof, found anew."""
+    """Compute the aim tables of a scene and their proof."""
     plain = camera._replace(lens=camera.lens._replace(aperture=None), mla=undiffracted(camera.mla))
     found = aim_table(scene, report, plain, shapes, analytic=analytic)
     through = found.through._replace(stop=camera.lens.aperture)
@@ -170,11 +170,10 @@ def _proven_aim(
 
 
 def _diffracted(aim: AimTables, proof: AimProof | None, through: CameraTables) -> tuple[AimTables, AimProof | None]:
-    """Return the aim of a camera whose lenslets diffract, and its proof, by those without diffraction.
+    """Adapt an aim and its proof to diffraction at the lenslets.
 
-    Lenslets' views grow until they hold the light that crosses to neighbours in the plate, and where they are needed;
-    the light over them is measured after diffraction. Where the aim still misses more than is allowed, half of the rays
-    go anywhere.
+    The views of the lenslets grow until they hold the light that crosses to neighbours in the plate; the light over
+    them is measured after diffraction. If the aim still misses too much, half of the rays go anywhere.
 
     Parameters
     ----------
@@ -207,7 +206,7 @@ def _diffracted(aim: AimTables, proof: AimProof | None, through: CameraTables) -
 def proven(
     aim: AimTables, through: CameraTables, seen: Viewpoints | None, near: NearViewpoints | None = None
 ) -> tuple[AimTables, AimProof | None]:
-    """Return the aim, widened until it misses a negligible share of the light, and the proof by rays from the stop.
+    """Widen an aim until it misses a negligible share of the light; return it with its proof.
 
     The proof is None if no ray from the stop arrives at the sensor.
 
@@ -219,7 +218,7 @@ def proven(
     seen : Viewpoints or None
         Viewpoints of the targets; None if no target lies before the lens.
     near : NearViewpoints, optional
-        Those close before the lens.
+        Viewpoints close to the front of the lens.
     """
     random = np.random.default_rng(0x5106)
     reach = reach_of(through, random)
@@ -252,7 +251,7 @@ def proven(
 
 
 def _measured_light(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
-    """Return the aim with the light over the views of lenslets, diffracted where they do that, if rays tell it."""
+    """Return the aim with the light over the views of lenslets, after any diffraction, if there are enough rays."""
     shown = unmeasured_light()
     if len(rays.throughput) >= FEWEST:
         off, radius, _ = seen_from_cells(aim, through, rays)
@@ -265,14 +264,14 @@ def _measured(
     aim: AimTables, through: CameraTables, seen: Viewpoints | None, near: NearViewpoints | None, rays: Rays,
     random: np.random.Generator, attempt: int,
 ) -> tuple[AimProof, tuple[Array, Array, Array]]:  # fmt: skip
-    """Return the proof of an aim by rays from the stop, and the factors of both sides that it follows from."""
+    """Return the proof of an aim, and the factors of both sides."""
     factors = beyond_sensor_aim(aim, through, rays), *beyond_object_aim(aim, seen, near, rays, random)
     behind, before, close = (_missed(beyond, rays.throughput) for beyond in factors)
     return AimProof(len(rays.throughput), behind, max(before, close, key=lambda m: m.most), attempt), factors
 
 
 def _widened(aim: AimTables, through: CameraTables, rays: Rays, factors: tuple[Array, Array, Array]) -> AimTables:
-    """Return the aim as wide as the rays need by the factors of `_measured`."""
+    """Widen an aim by the factors of `_measured`."""
     behind, before, close = factors
     if through.mla.present:
         aim = fitted(aim, through, rays)
@@ -289,17 +288,17 @@ def _widened(aim: AimTables, through: CameraTables, rays: Rays, factors: tuple[A
 
 
 def _completed(aim: AimTables, proof: AimProof, has_array: bool) -> tuple[AimTables, AimProof]:
-    """Return an aim that holds all light, whatever rays from the stop found outside, and its proof, which says so.
+    """Return an aim that holds all light, in place of one that failed its proof, and the proof marked so.
 
-    Rays to the lens go all over it. Behind an array half of the rays go into the whole hemisphere. A side of which rays
-    found no more outside than is allowed keeps its aim, though too few of them came through to prove it.
+    Rays to the lens go all over it. Behind an array half of the rays go into the whole hemisphere. A side with no more
+    outside than is allowed keeps its aim, though too few rays came through to prove it.
 
     Parameters
     ----------
     aim : AimTables
-        Fitted as often as may be.
+        After all attempts to fit it.
     proof : AimProof
-        That it misses more than is allowed, or may do so.
+        Shows that the aim misses, or may miss, more than is allowed.
     has_array : bool
     """
     if proof.objects.share > ALLOWED:

@@ -1,9 +1,9 @@
-"""A check of an image within its run: a comparison with blind samples by blocks of pixels.
+"""Check of an image within its run against blind samples, by blocks of pixels.
 
-Blind samples estimate the same image in another way. In the adjoint method they are not aimed. As few of them get
-through the lens, they reveal large deficits only, the larger the smaller the stop is; the detectable deficit is part of
-the result. Small deficits are found by `aim_proof`. But here everything is repeated without the aim, so that errors of
-any cause show. A forward image is compared with paths from the pixels, of which few tell much.
+In the adjoint method blind samples are not aimed. Few get through the lens, so they reveal only large deficits, the
+larger the smaller the stop is; the result states the detectable deficit. Small deficits are found by `aim_proof`, but
+blind samples show errors of any cause. A forward image is compared with paths from the pixels, most of them
+uninformative.
 """
 
 from dataclasses import dataclass, field
@@ -20,10 +20,10 @@ from lfmesh.transport.tables.tables import AimTables
 Array = NDArray[np.float64]
 
 SHARE = 1.0 / 128.0
-"""Number of blind samples, relative to the samples of the image."""
+"""Number of blind samples per sample of the image."""
 
 CHUNK = 4096
-"""Blind samples that are traced together, of neighbouring pixels."""
+"""Blind samples of neighbouring pixels that are traced together."""
 
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
@@ -34,11 +34,11 @@ MOST_BLOCKS = 8
 """Largest number of blocks along each side of the sensor."""
 
 HITS = 80
-"""Number of samples with light that a block should have; with fewer, blocks are made larger."""
+"""Samples with light that a block should have; with fewer, blocks are made larger."""
 
 
 def without_aim(aim: AimTables) -> AimTables:
-    """Return an aim by which rays go anywhere: into the hemisphere, or to all of the lens where there is no array."""
+    """Return an aim that sends rays anywhere: into the hemisphere, or, without an array, to all of the lens."""
     return aim._replace(
         entrance=anywhere(aim.entrance),
         exit=anywhere(aim.exit),
@@ -49,12 +49,12 @@ def without_aim(aim: AimTables) -> AimTables:
 
 
 def first_of_runs(count: int, at_once: int, replicate: int) -> list[int]:
-    """Return the first pixels (or packets) of the runs that a replicate takes for the check.
+    """Return the first pixel (or packet) of each run that a replicate takes for the check.
 
     Parameters
     ----------
     count : int
-        Pixels (or packets) in all, over which the runs are spread.
+        Total number of pixels (or packets).
     at_once : int
         Length of a run.
     replicate : int
@@ -66,7 +66,7 @@ def first_of_runs(count: int, at_once: int, replicate: int) -> list[int]:
 
 @dataclass(frozen=True)
 class BlindCheck:
-    """Comparison of an image with blind samples of the light in blocks of pixels.
+    """Comparison of an image with blind samples in blocks of pixels.
 
     Attributes
     ----------
@@ -77,9 +77,9 @@ class BlindCheck:
     worst : float
         Largest difference of any block, in standard errors of both estimates; positive where the image lacks light.
     limit : float
-        Difference that is exceeded by chance with a probability of 1e-3 in all.
+        Difference that any block exceeds by chance with a total probability of 1e-3.
     smallest_deficit : float or None
-        Least share of missing light that would be detected in half of the blocks; None: not even if all is missing.
+        Smallest missing share of light that half of the blocks would detect; None: no share.
     """
 
     blocks: tuple[int, int]
@@ -90,7 +90,7 @@ class BlindCheck:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "BlindCheck":
-        """Return the check that was written as JSON."""
+        """Return the check from its JSON form."""
         rows, columns = values["blocks"]
         return cls(**values | {"blocks": (rows, columns)})
 
@@ -102,7 +102,7 @@ class BlindCheck:
 
 @dataclass
 class BlindSamples:
-    """Light found by blind samples, as a run collects it.
+    """Light that blind samples find during a run.
 
     Attributes
     ----------
@@ -146,9 +146,9 @@ class BlindSamples:
         ----------
         mean : (rows, columns, wavelengths) float64, W
         variance : (rows, columns, wavelengths) float64, W²
-            NaN, where it is not known, counts as zero.
+            NaN (unknown) counts as zero.
         all_light : bool
-            Blind samples find all light of the image; if not, that they find less says nothing.
+            Blind samples find all light of the image. If not, a lower value is no disagreement.
         """
         nothing = np.zeros(0)
         values = np.concatenate([*self.values, nothing.astype(np.int64)])

@@ -1,8 +1,8 @@
-"""Proof of the ghosts: some of a run's own, followed along their sequences and traced through the meshes too.
+"""Proof of the ghosts: some of a run's own, followed along their sequences and traced through the meshes.
 
-The meshes are the model, and sequences in blocks (`sequences.ghosts`) a shortcut. Each packet is traced from its pixel
-through the meshes, face by face; of the two children at a face the one that its sequence asks for goes on. Which that
-is, its state tells: so this proves, too, that the classes of paths are what the sequences are.
+The meshes are the model; sequences in blocks (`sequences.ghosts`) are a shortcut. Each packet is traced from its pixel
+through the meshes; at each face the child that continues the sequence goes on. Its path state identifies it, which also
+proves that the classes of paths agree with the sequences.
 """
 
 import numpy as np
@@ -20,13 +20,13 @@ Array = NDArray[np.float64]
 
 
 def compare_ghosts(world: World, work: Workspace) -> OrderCheck | None:
-    """Follow packets along sequences of faces, in blocks and through meshes; compare both. None where none waits.
+    """Follow packets along sequences of faces, in blocks and through meshes; compare both. None if no packet waits.
 
     Parameters
     ----------
     world : World
     work : Workspace
-        Of the part of the image that follows ghosts. Its packets have left their pixels, and wait at one station.
+        Of the image's ghosts. Its packets have left their pixels and wait at one station.
     """
     station = int(np.argmax(work.tops[:STATIONS]))
     count = int(work.tops[station])
@@ -71,7 +71,7 @@ def _through_meshes(
     world: World, work: Workspace, packets: NDArray[np.void], station: int, sequence: NDArray[np.int64],
     ghosts: GhostTables,
 ) -> tuple[NDArray[np.int64], NDArray[np.void]]:  # fmt: skip
-    """Trace packets that wait at a station along their sequences; return which leave the lens, and what they are then.
+    """Trace packets along their sequences; return the numbers and the records of the packets that leave the lens.
 
     Their places and directions are in the camera frame.
     """
@@ -98,7 +98,7 @@ def _through_meshes(
 
 
 def _reflections(ghosts: GhostTables) -> NDArray[np.int64]:
-    """Return after how many faces each sequence has been reflected once and twice, (sequences, 2)."""
+    """Return the number of faces up to the first and the second reflection of each sequence, (sequences, 2)."""
     turns = []
     for number, length in enumerate(ghosts.lengths):
         legs = ghosts.route.legs[ghosts.first[number] : ghosts.first[number + 1]]

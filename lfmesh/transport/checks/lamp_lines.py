@@ -1,4 +1,4 @@
-"""Lines of a check on lamps: their angular profiles, their spectra, and the share of their light in the bands."""
+"""Lines of `check` on lamps: angular profiles, spectra, and the share of the light in each band."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 def lamp_lines(scene: Scene, targets: list[TargetMesh]) -> list[str]:
-    """Describe the profiles and spectra of a scene's lamps, notes last.
+    """Describe the profiles and spectra of a scene's lamps.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def lamp_lines(scene: Scene, targets: list[TargetMesh]) -> list[str]:
 
 
 def _in_words(profile: LightProfile, power_w: float) -> str:
-    """Return where a profile shines and how brightly, in the power of its light and in the units of its file."""
+    """Describe a profile's lit angles and peak, for the power of its lamp and in the units of its file."""
     lit = np.rad2deg(profile.vertical[profile.intensity.any(axis=0)])
     peak = profile.intensity.max()
     at = np.rad2deg(profile.vertical[int(np.argmax(profile.intensity.max(axis=0)))])
@@ -58,7 +58,7 @@ def _in_words(profile: LightProfile, power_w: float) -> str:
 def _shines_on(profile: LightProfile, light: Light, targets: list[TargetMesh]) -> bool:
     """Return whether a profile shines from a corner of its lamp towards a corner or the middle of any facet.
 
-    These places are what the note names: it says nothing of others, and nothing else depends on it.
+    The note names these places only; nothing else depends on the result.
     """
     if light.region is None:
         return True
@@ -80,7 +80,7 @@ def _shines_on(profile: LightProfile, light: Light, targets: list[TargetMesh]) -
 
 
 def _spectrum(scene: Scene, number: int) -> str:
-    """Return the name of a lamp's spectrum and the share of its power, over the bands' span, that each band takes."""
+    """Return the name of a lamp's spectrum and each band's share of its power over the bands' span."""
     spectrum = scene.lights[number].spectrum
     first, last = scene.reach_nm
     name = "even" if spectrum is None else spectrum.in_words()

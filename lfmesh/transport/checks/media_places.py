@@ -1,4 +1,4 @@
-"""Places of a scene's media and particles as the camera sees them, and how much light the media take away."""
+"""Places of a scene's media and particles as seen by the camera, and the optical depths of the media."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ from lfmesh.transport.world import World
 Array = NDArray[np.float64]
 
 LINES = 33
-"""Lines of sight along each side of a medium's part of the field on which optical depths are found."""
+"""Lines of sight along each side of a medium's part of the field, to find optical depths."""
 
 STEPS = 4
-"""Points on a line of sight for each voxel that the longest side of a grid has."""
+"""Points on a line of sight per voxel along the longest side of a grid."""
 
 OUT_OF_FIELD = "is out of the field: the camera does not see it"
 
@@ -33,14 +33,14 @@ class MediumPlace:
     ----------
     name : str
     what : str
-        What it does to light; of particles, how many shine.
+        Effect on light; for particles, the number that shine.
     reach_mm : (float, float)
-        Distances of its ends before the first vertex; inf for a medium without an end.
+        Distances of its ends in front of the first vertex; inf for an unbounded medium.
     share : float
-        Of the field of view: of a medium that the box round its picture fills, at most; of particles that are in it.
+        Share of the field of view filled by a medium, at most (box around its image); share of particles in the field.
     depths : (float, float) or None
-        Optical depth along the axis, and the largest of some lines of sight, at the primary wavelength; of a medium
-        without an end per mm. None of particles, and of a medium bounded by a mesh.
+        Optical depth along the axis, and the largest of some lines of sight, at the primary wavelength; per mm if
+        unbounded. None for particles and media bounded by a mesh.
     """
 
     name: str
@@ -50,7 +50,7 @@ class MediumPlace:
     depths: tuple[float, float] | None
 
     def lines(self, wavelength_nm: float) -> list[str]:
-        """Return what is known in words, a warning last, as a note."""
+        """Describe the place in words, any warning last, as a note."""
         near, far = self.reach_mm
         endless = not np.isfinite(far)
         of_particles = self.what.startswith("particles")
@@ -74,7 +74,7 @@ class MediumPlace:
 def media_places(world: World) -> list[MediumPlace]:
     """Return the place of each medium and of each group of particles of a built scene.
 
-    Lines of sight are the straight chief rays before the lens: refraction at bodies of glass is left out.
+    Lines of sight are the straight chief rays in front of the lens; refraction at bodies of glass is ignored.
     """
     return [*_media(world), *_particles(world)]
 
@@ -120,13 +120,13 @@ def _particles(world: World) -> Iterator[MediumPlace]:
 def _depths(
     volumes: Volumes, number: int, colour: int, to_camera: Array, seen: Array, facts: FirstOrder
 ) -> tuple[float, float]:  # fmt: skip
-    """Return the optical depth of a medium along the axis, and the largest of lines of sight in its part of the field.
+    """Return a medium's optical depth along the axis, and the largest in its part of the field.
 
     Parameters
     ----------
     volumes : Volumes
     number, colour : int
-        Of the medium and of the wavelength.
+        Indices of the medium and the wavelength.
     to_camera : (3, 4) float64
         From the medium's own frame.
     seen : (8, 3) float64, mm
@@ -148,10 +148,10 @@ def _depths(
 
 
 def _part_of_field(seen: Array, facts: FirstOrder) -> tuple[Array, Array]:
-    """Return the corners of the part of the field, whose edges are ±½, that holds a box as its chief rays see it.
+    """Return the corners of the part of the field (edges at ±½) that holds a box as seen along chief rays.
 
-    On a chief ray x over the width of the field is constant. In a box it is a quotient of linear functions, whose
-    extremes lie at corners. The whole field counts if a corner stands behind the first vertex, or where the width is 0.
+    Along a chief ray, x over the field's width is constant. In a box it is a quotient of linear functions with extremes
+    at corners. The whole field counts if a corner lies behind the first vertex or the width changes sign.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def _part_of_field(seen: Array, facts: FirstOrder) -> tuple[Array, Array]:
 
 
 def _along(volumes: Volumes, number: int, colour: int, start: Array, way: Array) -> Array:
-    """Return the optical depth along lines from places in a medium's own frame, (n,)."""
+    """Return the optical depth along lines in a medium's own frame, (n,)."""
     row = volumes.rows[number]
     low, high = np.maximum(row["box"][0], row["low"]), np.minimum(row["box"][1], row["high"])
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,9 +1,8 @@
-"""Proof of the order of the surfaces of lens and array: a sample of a run's own packets, traced through the meshes too.
+"""Proof of the order of the surfaces of lens and array: a sample of packets, also traced through meshes.
 
 The meshes are the model. Finding surfaces by their order and their roots (`regions.lens.shade_lens`,
-`regions.mla.shade_cells`) is a shortcut, so every run takes some of its packets that wait for a surface of the lens
-or a face of the array, lets both ways process each, and compares what comes of them: children and ends, where they are
-and what they weigh. A run whose shortcut deviates uses the meshes.
+`regions.mla.shade_cells`) is a shortcut. So every run processes a sample of packets at lens and array in both ways, and
+compares the places and weights of children and ends. If the shortcut deviates, the run uses the meshes.
 """
 
 from dataclasses import dataclass
@@ -38,36 +37,36 @@ STARTS = 2048
 """Packets that a run starts to take its sample from."""
 
 SAMPLE = 1000
-"""Packets that are compared at most."""
+"""Most packets to compare."""
 
 LARGEST_MM = 1e-9
-"""Deviation in place above which a run does without the order."""
+"""Deviation in place, mm, above which a run does not use the order."""
 
 _ARRAY_SPACES, _LARGEST_ROW = 4, 1 << 15
-"""Numbers that exceed those of the array's spaces, and of the cells in a row."""
+"""Strict upper bounds of the number of the array's spaces, and of the cells in a row."""
 
 _OUTCOME = np.dtype([("source", "i8"), ("name", "i8"), ("position", "f8", (3,)), ("weight", "f8")])
-"""A child or an end: the packet that it came of, and a number that tells it from all others."""
+"""A child or an end: its parent packet, and a number that identifies it."""
 
 
 @dataclass(frozen=True)
 class OrderCheck:
-    """Comparison of packets whose surfaces were found by their order with the same packets traced through the meshes.
+    """Comparison of packets traced by the order of the surfaces and through the meshes.
 
     Attributes
     ----------
     compared : int
         Packets that the order decided.
     reflected : int
-        Those of them that a reflection had turned off the image path.
+        Compared packets that a reflection had turned off the image path.
     undecided : int
-        Further packets of the sample, which the order left to the meshes.
+        Further packets of the sample that the order left to the meshes.
     differing : int
-        Packets that met another surface, or ended otherwise.
+        Packets that met another surface, or ended differently.
     deviation_mm : float
-        Largest distance between two outcomes' places.
+        Largest distance between the places of two outcomes.
     deviation : float
-        Largest difference between their weights, over that of the packet they came of.
+        Largest difference between two outcomes' weights, over their parent's weight.
     """
 
     compared: int
@@ -79,7 +78,7 @@ class OrderCheck:
 
     @property
     def holds(self) -> bool:
-        """True if the order may replace the meshes: not where there was nothing to compare."""
+        """True if the order may replace the meshes; False if there was nothing to compare."""
         return self.compared > 0 and self.differing == 0 and self.deviation_mm <= LARGEST_MM
 
     def joined(self, other: "OrderCheck | None") -> "OrderCheck":
@@ -103,7 +102,7 @@ class OrderCheck:
 
 
 def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.void]) -> OrderCheck:
-    """Process packets that wait at lens and array by the order of the surfaces and by meshes, and compare the outcomes.
+    """Process packets waiting at lens and array by the order of the surfaces and by meshes; compare the outcomes.
 
     Parameters
     ----------
@@ -111,7 +110,7 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
     options : Options
     tables : Tables
     packets : (n,) PACKET
-        In the camera frame those that wait for a surface of the lens, in those of the array's faces those in a cell.
+        Wait for a surface of the lens (camera frame) or in a cell (frames of the array's faces).
     """
     found = outcomes(world, options, tables, packets)
     before = packets["weight"][found.by_order["source"]]
@@ -127,22 +126,22 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
 
 
 class Outcomes(NamedTuple):
-    """Children and ends of packets by both ways, without those of packets that the order left undecided."""
+    """Children and ends of packets in both ways, without packets that the order left undecided."""
 
     by_order: NDArray[np.void]  # (m,) with the fields `source`, the packet; `position`, mm, its own frame; and `weight`
     by_mesh: NDArray[np.void]  # (m,) the same children and ends by the meshes
-    only_by_order: NDArray[np.void]  # what the meshes do not know
+    only_by_order: NDArray[np.void]  # outcomes without a counterpart by the meshes
     only_by_mesh: NDArray[np.void]
     undecided: NDArray[np.int64]  # packets that the order left to the meshes
 
     @property
     def differing(self) -> NDArray[np.int64]:
-        """Packets that met another surface, or ended otherwise."""
+        """Packets that met another surface, or ended differently."""
         return np.unique(np.concatenate([self.only_by_order["source"], self.only_by_mesh["source"]]))
 
     @property
     def deviation_mm(self) -> NDArray[np.float64]:
-        """Distance of each pair's places, (m,)."""
+        """Distance between the places of each pair, (m,)."""
         return np.linalg.norm(self.by_order["position"] - self.by_mesh["position"], axis=1)
 
 
@@ -166,7 +165,7 @@ def outcomes(world: World, options: Options, tables: Tables, packets: NDArray[np
 
 
 def _outcomes(work: Workspace, packets: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.int64]]:
-    """Let packets meet one surface each; return what comes of them, and the sources of those left to the meshes."""
+    """Let packets meet one surface each; return the outcomes, and the sources of packets left to the meshes."""
     frames = packets["frame"]
     in_cells, in_back = frames == MLA_FRAME, frames == BACK_FRAME
     found, undecided = [], []

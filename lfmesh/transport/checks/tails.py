@@ -1,8 +1,7 @@
-"""Heavy tails: blocks of pixels of whose light few paths bring much, as an image's light, errors and hits tell.
+"""Heavy tails: blocks of pixels with much light from few paths, found from light, errors and hits.
 
-A pixel that one heavy path has met holds much of its block's light, its error is about as large as its light, and its
-hits are no more than its neighbours'. The neighbours, which no such path has met, lack that light, and their errors do
-not know it.
+A pixel met by one heavy path holds much of its block's light. Its error is about as large as its light, and it has no
+more hits than its neighbours. The neighbours lack that light, and their error estimates do not show it.
 """
 
 from typing import NamedTuple
@@ -16,22 +15,22 @@ SIDE = 8
 """Pixels along each side of a block."""
 
 HELD = 0.1
-"""Share of a block's light in one pixel from which on it counts."""
+"""Share of a block's light in one pixel above which the pixel counts as heavy."""
 
 FEW_PATHS = 0.5
-"""Error over light of a pixel whose light came by few paths."""
+"""Relative error of a pixel's light above which few paths brought it."""
 
 HEAVIER = 5.0
-"""Light of a hit in that pixel over that of a hit in one of the block's bright ones (`OTHERS`)."""
+"""Light per hit of that pixel over the light per hit of a bright pixel of its block (`OTHERS`)."""
 
 OTHERS = 0.9
-"""Share of the block's pixels whose hits bring no more than those of the bright one: edges leave it as bright."""
+"""Quantile of light per hit that defines a bright pixel of a block: it stays bright beside an edge."""
 
 ENOUGH_HITS = 64
-"""Hits of a block by which its light would be known well, were they alike."""
+"""Hits of a block that would determine its light well if all were alike."""
 
 BRIGHT = 1e-3
-"""Light of a block over that of the brightest one, below which it is not looked at."""
+"""Light of a block over the light of the brightest one, below which the block is ignored."""
 
 
 class Tails(NamedTuple):
@@ -40,11 +39,11 @@ class Tails(NamedTuple):
     Attributes
     ----------
     share : float
-        Of the blocks that are not dark, those with such a pixel.
+        Share of the blocks that are not dark with such a pixel.
     held : float
         Largest share of a block's light in one pixel.
     heavier : float
-        Light of a hit there, over that of a hit in a bright pixel of its block.
+        Light per hit there, over that of a bright pixel of its block.
     """
 
     share: float
@@ -53,7 +52,7 @@ class Tails(NamedTuple):
 
 
 def tails(mean: Array, stderr: Array, hits: NDArray[np.uint32]) -> Tails | None:
-    """Return the blocks with heavy paths, of the channel that has most of them; None if there are none.
+    """Return the blocks with heavy paths, for the channel with the largest share of them; None if there are none.
 
     Parameters
     ----------
@@ -89,7 +88,7 @@ def _of_channel(mean: Array, stderr: Array, hits: NDArray[np.uint32]) -> Tails |
 
 
 def _blocks(values: Array) -> Array:
-    """Return the pixels of each block, (blocks, SIDE²); beyond the border they are dark."""
+    """Return the pixels of each block, (blocks, SIDE²), padded with dark pixels beyond the border."""
     rows, columns = (-(-size // SIDE) for size in values.shape)
     padded = np.zeros((rows * SIDE, columns * SIDE))
     padded[: values.shape[0], : values.shape[1]] = values

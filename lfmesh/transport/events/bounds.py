@@ -1,4 +1,4 @@
-"""Bounds of media: the distances between which a ray is in a medium, and in a cell of its grid."""
+"""Bounds of media: entry and exit distances of rays, for a medium or a cell of its grid."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from lfmesh.transport.tables.volumes import BOX, CYLINDER, IN_FRONT, SHELL
 
 @inlined
 def own_ray(row: Any, ray: Ray) -> Ray:
-    """Return a ray of the object frame in the own frame of a medium.
+    """Transform a ray from the object frame into a medium's own frame.
 
     Parameters
     ----------
@@ -27,14 +27,14 @@ def own_ray(row: Any, ray: Ray) -> Ray:
 
 @inlined
 def slab(low: float, high: float, o: float, d: float) -> tuple[float, float]:
-    """Return the distances between which a ray is between two planes of a coordinate.
+    """Return a ray's entry and exit distances for the slab between two coordinate planes.
 
     Parameters
     ----------
     low, high : float
-        The planes.
+        Coordinates of the planes.
     o, d : float
-        Start and direction of the ray.
+        The ray's start and direction along the coordinate.
     """
     if d == 0.0:
         return (-np.inf, np.inf) if low <= o <= high else (np.inf, -np.inf)
@@ -44,12 +44,12 @@ def slab(low: float, high: float, o: float, d: float) -> tuple[float, float]:
 
 @kernel
 def span(shells: Any, row: Any, ray: Ray, t: float) -> tuple[float, float, float]:
-    """Return the distances between which a ray, in the own frame, is in a medium, as they are seen from one distance.
+    """Return the entry and exit distances of a ray, in a medium's own frame, as seen from distance t.
 
     Parameters
     ----------
     shells : ShellTree or None
-        None: no mesh bounds a medium, and numba compiles nothing for it.
+        None if no mesh bounds a medium; numba then compiles nothing for it.
     row : VOLUME
     ray : Ray
     t : float, mm
@@ -57,9 +57,9 @@ def span(shells: Any, row: Any, ray: Ray, t: float) -> tuple[float, float, float
     Returns
     -------
     first, last : float, mm
-        The first is larger if the ray is never in it.
+        The first is larger if the ray misses the medium.
     holds : float, mm
-        Distance beyond t up to which this is so: the next crossing of a mesh, else inf.
+        Where the result ceases to hold, beyond t: at the next crossing of a mesh, else inf.
     """
     holds = np.inf
     if shells is not None:
@@ -74,7 +74,7 @@ def span(shells: Any, row: Any, ray: Ray, t: float) -> tuple[float, float, float
 
 @kernel
 def _span(row: Any, ray: Ray) -> tuple[float, float]:
-    """Return the distances between which a ray is in the bounds of a medium, but for those of a mesh, and its grid."""
+    """Return the entry and exit distances of a ray for a medium's grid and bounds, except meshes."""
     x, y, z, dx, dy, dz = ray
     first, last = -np.inf, np.inf
     if row.bounds == IN_FRONT:
@@ -113,9 +113,9 @@ def _span(row: Any, ray: Ray) -> tuple[float, float]:
 
 @kernel
 def cell_end(row: Any, t: float, ray: Ray) -> float:
-    """Return the distance, beyond t, at which a ray leaves the present cell of a medium's grid.
+    """Return a ray's exit distance, beyond t, from the current cell of a medium's grid.
 
-    Cells of a trilinear grid have the centres of eight voxels as corners.
+    The corners of a trilinear cell are the centres of eight voxels.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Steps that all stations share: divide a packet's weight, record a vertex, end a packet, query Embree again.
+"""Operations shared by all stations: divide a packet's weight, record a vertex, end a packet, query Embree again.
 
-Each function here that changes a weight enters the difference in the book.
+Functions that change a weight enter the difference in the book.
 """
 
 from typing import Any
@@ -57,18 +57,18 @@ Array = NDArray[np.float64]
 
 @kernel
 def draw(packet: Any, dimension: int) -> float:
-    """Return a random number, in [0, 1), of the packet's present event."""
+    """Return a uniform random number in [0, 1) for the packet's current event."""
     return uniform(packet.key, packet.events * DIMENSIONS_PER_EVENT + dimension)
 
 
 @inlined
 def draw_two(options: Options, packet: Any, dimension: int) -> tuple[float, float]:
-    """Return two random numbers, in [0, 1), of the packet's present event: where it can be, of a pixel's Sobol' set.
+    """Return two random numbers in [0, 1) for the packet's current event, from a pixel's Sobol' set if possible.
 
     Parameters
     ----------
     dimension : int
-        Of the first; the second has the next.
+        Dimension of the first number; the second has the next.
     """
     number = packet.events * DIMENSIONS_PER_EVENT + dimension
     if options.pixels.each == 0:
@@ -92,7 +92,7 @@ def refracted(
     eta : float
         n_i / n_t.
     cos_i, cos_t : float
-        Cosines of incidence and of refraction.
+        Cosines of incidence and refraction.
     """
     g = cos_t - eta * cos_i
     return normalised(eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * nz)
@@ -100,7 +100,7 @@ def refracted(
 
 @inlined
 def reflected(dx: float, dy: float, dz: float, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
-    """Return the direction mirrored at a plane with a unit normal of either sign.
+    """Return a direction mirrored at a plane with a unit normal of either sign.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def reflected(dx: float, dy: float, dz: float, nx: float, ny: float, nz: float) 
 
 @inlined
 def normalised(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
-    """Return a direction of nearly unit length, normalised by one Newton step, which takes away rounding errors.
+    """Remove rounding errors from the length of a unit direction by one Newton step.
 
     Parameters
     ----------
@@ -127,12 +127,12 @@ def normalised(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
 
 @kernel
 def windowed(book: Array, weight: float, floor: float, key: np.uint64, dimension: int) -> float:
-    """Apply the weight window's Russian roulette: a weight below the floor becomes the floor or zero, without bias.
+    """Apply the weight window's unbiased Russian roulette: a weight below the floor becomes the floor or zero.
 
     Parameters
     ----------
     book : (slots,) float64
-        The change is entered here.
+        Receives the change.
     weight, floor : float
     key : uint64
     dimension : int
@@ -149,17 +149,16 @@ def windowed(book: Array, weight: float, floor: float, key: np.uint64, dimension
 
 @inlined
 def thinned(cutoff: float, book: Array, packet: Any, weight: float, key: np.uint64) -> float:
-    """Return the weight of a packet that brings nothing as it is, and of which few continue; 0: it ends.
+    """Return the weight, after roulette, of a packet that is outside the estimated paths so far; 0: it ends.
 
     Parameters
     ----------
     cutoff : float
-        Weight, over the packet's starting weight, below which it plays roulette.
+        Threshold of roulette, over the packet's starting weight.
     book : (slots,) float64
     packet : PACKET
     weight : float
     key : uint64
-        Of its random numbers.
     """
     dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_REACHED
     return windowed(book, weight, cutoff * packet.start, key, dimension)
@@ -169,7 +168,7 @@ def thinned(cutoff: float, book: Array, packet: Any, weight: float, key: np.uint
 def split_shares(
     options: Options, book: Array, packet: Any, reflectance: float, transmittance: float
 ) -> tuple[float, float]:
-    """Return the weights of the reflected and the refracted child, after roulette; zero: there is no such child.
+    """Return the weights of the reflected and the refracted child after roulette; zero: no such child.
 
     Parameters
     ----------
@@ -212,7 +211,7 @@ def record(
     Parameters
     ----------
     frame : int
-        Of the point.
+        Frame of the point.
     x, y, z : float, mm
     weight : float
         Weight after the event.
@@ -227,14 +226,14 @@ def record_interface(
     flow: Flow, frames: Array, frame: int, x: float, y: float, z: float,
     weight: float, surface: int, part: int, event: int, parent: int, beyond: int,
 ) -> int:  # fmt: skip
-    """Append a vertex at an interface, as `record` does, with the number of the medium `beyond` it.
+    """Append a vertex at an interface, as `record` does, with the medium beyond it.
 
     Parameters
     ----------
     flow, frames, frame, x, y, z, weight, surface, part, event, parent
         As for `record`.
     beyond : int
-        Number of the medium that the ray goes into.
+        Medium that the ray enters.
     """
     top = flow.tops[NODES]
     node = flow.nodes[top]
@@ -255,17 +254,17 @@ def end(
     options: Options, flow: Flow, frames: Array, packet: Any, frame: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, slot: int, status: int,
 ) -> None:  # fmt: skip
-    """End a packet at a point: enter its weight in the book and, if ends are kept, add a row to `flow.ended`.
+    """End a packet at a point: enter its weight in the book and, if ends are kept, extend `flow.ended`.
 
     Parameters
     ----------
     frame : int
-        Of point and direction.
+        Frame of point and direction.
     x, y, z : float, mm
     dx, dy, dz : float
     weight : float
     slot : int
-        Of the book.
+        Slot of the book.
     status : int
         `Status`.
     """
@@ -285,7 +284,6 @@ def end_here(options: Options, flow: Flow, frames: Array, packet: Any, slot: int
     frames : (6, 6, 3, 4) float64
     packet : PACKET
     slot : int
-        Of the book that its weight is entered in.
     status : int
     """
     end(
@@ -301,7 +299,7 @@ def lose(options: Options, flow: Flow, frames: Array, packet: Any, reason: int, 
     Parameters
     ----------
     reason, slot : int
-        Slots of the book in which it is entered: of the reason, and of the body.
+        Slots of the book for the reason and the body.
     """
     flow.book[reason] += packet.weight
     end_here(options, flow, frames, packet, slot, S_LOST)
@@ -335,7 +333,7 @@ def _keep_end(
 
 @inlined
 def deposit(options: Options, flow: Flow, place: int, colour: int, weight: float) -> None:
-    """Add light to a pixel: directly in the chunk's film (adjoint), or in the list of deposits (forward).
+    """Add light to a pixel: in the chunk's film (adjoint), or in the list of deposits (forward).
 
     Parameters
     ----------
@@ -366,17 +364,17 @@ def requery(
     """Queue the packet's ray for another query or, after `MAX_TRIES`, end it as lost.
 
     After a refused hit the query starts behind that hit. A ray that met nothing inside a closed space slipped between
-    facets: it is queried from its start again, with the origin shifted by a rounding error that doubles at each try.
+    facets: it is queried from its start, with the origin shifted by a rounding error that doubles at each try.
 
     Parameters
     ----------
     station : int
     query_from : float, mm
-        Distance at which the next query starts.
+        Start of the next query.
     missed : bool
         The ray met nothing; else a hit was refused.
     slot : int
-        Of the book, for a lost packet.
+        Slot of the book for a lost packet.
     """
     flow.counts[REQUERIES] += 1
     tries = abs(packet.tries)
@@ -395,7 +393,7 @@ def requery(
 
 @inlined
 def too_deep(options: Options, flow: Flow, frames: Array, packet: Any) -> bool:
-    """End a packet that has had `max_events` events; tell whether it was ended.
+    """End a packet after `max_events` events; return True if it was ended.
 
     Parameters
     ----------
@@ -419,7 +417,7 @@ def write_query(
     fold_x: float,
     fold_y: float,
 ) -> None:
-    """Write a packet's ray in float32, as Embree takes it.
+    """Write a packet's ray in float32 for Embree.
 
     Parameters
     ----------
@@ -428,7 +426,7 @@ def write_query(
         Row to write.
     packet : PACKET
     fold_x, fold_y : float, mm
-        Subtracted from the position, to move a ray at the array into the one cell in Embree's scene.
+        Subtracted from the position, to move a ray at the array into Embree's cell.
     """
     t, dx, dy, dz = packet.query_from, packet.dx, packet.dy, packet.dz
     x, y, z = packet.x + t * dx - fold_x, packet.y + t * dy - fold_y, packet.z + t * dz
@@ -440,7 +438,7 @@ def write_query(
 
 @kernel
 def _jittered(packet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return a query's origin shifted at random by up to a few rounding errors along each axis, doubled at each try."""
+    """Return a query's origin, randomly shifted by a few rounding errors along each axis, doubled at each try."""
     key, tries = packet.key, -packet.tries
     scale = abs(packet.x) + abs(packet.y) + abs(packet.z)
     aside = float(np.float32(4.0 * FLOAT32_GRAIN * scale * 2.0 ** (tries - 1)))
@@ -452,10 +450,10 @@ def _jittered(packet: Any, x: float, y: float, z: float) -> tuple[float, float, 
 
 @inlined
 def at_box(packet: Any) -> tuple[float, float, float]:
-    """Return the point where a packet from object space came into the box of the lens, where its `limit` is.
+    """Return the point, at distance `limit`, where a packet from object space entered the box of the lens.
 
-    If it meets nothing of the lens it goes on from there: from where it started, it might meet the target that it left,
-    and would cross the media on its way once more.
+    If it misses the lens, it continues there: from its start it might meet the target that it left, and would cross
+    media twice.
 
     Parameters
     ----------
@@ -475,7 +473,6 @@ def move_packet(frames: Array, packet: Any, there: int) -> None:
     frames : (6, 6, 3, 4) float64
     packet : PACKET
     there : int
-        Number of the frame.
     """
     here = packet.frame
     if here == there:

@@ -1,4 +1,4 @@
-"""Facets and their curved patches as rays meet them, in float64, and where the next query of Embree starts."""
+"""Intersection of rays with facets and their curved patches, in float64, and the start of the next Embree query."""
 
 from typing import Any
 
@@ -15,16 +15,16 @@ Array = NDArray[np.float64]
 
 
 FLOAT32_GRAIN = 2.0**-22
-"""Rounding error of a float32 query, relative to its coordinates: the distance that puts an origin past a facet."""
+"""Rounding error of a float32 query, relative to its coordinates; an origin must be this far past a facet."""
 
 
 EDGE = 2.0**-36
-"""Tolerance, in barycentric weights, within which a crossing in float64 counts as inside the facet."""
+"""Tolerance, in barycentric weights, within which a float64 crossing counts as inside the facet."""
 
 
 @inlined
 def clear_of(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
-    """Return the distance at which a ray that starts near a facet has safely passed the facet's plane, mm.
+    """Return the distance, mm, that takes a ray from near a facet safely past the facet's plane.
 
     Parameters
     ----------
@@ -39,17 +39,17 @@ def clear_of(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz:
 
 @inlined
 def safely_behind(nx: float, ny: float, nz: float, offset: float, size: float, ray: Ray) -> float:
-    """Return the result of `clear_of` for a facet given by its normal, the offset of its plane and its size.
+    """Return the result of `clear_of` for a facet given by its normal, plane offset and size.
 
-    The distance exceeds that of the plane by the rounding error of a float32 query. For a ray along the facet it is at
-    most the facet's size; if the ray then meets its own facet, the hit is refused and the ray queried again.
+    It exceeds the plane's distance by the rounding error of a float32 query, but not the facet's size. If a ray along
+    the facet then meets its own facet, the hit is refused and the ray queried again.
 
     Parameters
     ----------
     nx, ny, nz : float
         Unit normal of the facet.
     offset, size : float, mm
-        Of its plane, along the normal; of the facet.
+        Offset of the plane along the normal; size of the facet.
     ray : Ray
     """
     x, y, z, dx, dy, dz = ray
@@ -63,7 +63,7 @@ def safely_behind(nx: float, ny: float, nz: float, offset: float, size: float, r
 
 @kernel
 def next_query_from(facet: Any, packet: Any, t: float) -> float:
-    """Return the distance of the next query, mm, after a facet was refused; the step doubles at each try.
+    """Return the start distance, mm, of the next query after a refused facet; the step doubles at each try.
 
     Parameters
     ----------
@@ -81,9 +81,9 @@ def next_query_from(facet: Any, packet: Any, t: float) -> float:
 
 @kernel
 def crosses(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> tuple[float, float]:
-    """Return the distance at which a ray crosses a facet, in float64, and normal · direction; inf, 0 if it does not.
+    """Return the distance of a ray's crossing of a facet, in float64, and normal · direction; inf, 0 for a miss.
 
-    An edge belongs to both of its facets, with a tolerance of `EDGE`, so that no ray slips between them.
+    An edge belongs to both of its facets, with tolerance `EDGE`, so no ray slips between them.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def crosses(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: 
 
 @kernel
 def facet_normal(level: int, facet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the unit normal for refraction at a point of a facet: the facet's own (flat) or the interpolated (smooth).
+    """Return the unit normal for refraction at a point of a facet: the facet's own (flat) or interpolated (smooth).
 
     Parameters
     ----------
@@ -131,10 +131,10 @@ def facet_normal(level: int, facet: Any, x: float, y: float, z: float) -> tuple[
 def meets_patch(
     flow: Flow, patches: Array, across: NDArray[np.int64], facet: Any, prim: int, ray: Ray
 ) -> tuple[bool, float, float, float, float]:
-    """Return whether a ray meets the curved patch of a facet, at what distance, and the normal there.
+    """Return whether a ray meets the curved patch of a facet, the distance, and the normal there.
 
-    If it does not, or only where it passes in the other sense (a ray that cuts off a thin slice of a ball may be led
-    to the slice's other side), the result is the facet's own plane, and is counted as a fallback.
+    After a miss, or a hit in the wrong sense (on the other side of a thin slice cut off a ball), the result is the
+    facet's own plane, counted as a fallback.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def meets_patch(
     prim : int
         Number of the facet.
     ray : Ray
-        Point at which the ray crosses the facet; distances count from here.
+        Starts at the crossing with the facet; distances count from here.
     """
     x, y, z, dx, dy, dz = ray
     b, c = barycentric(facet, x, y, z)
@@ -183,7 +183,7 @@ def barycentric(facet: Any, x: float, y: float, z: float) -> tuple[float, float]
 
 @inlined
 def nearest_on_facet(facet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the point of a facet below a point near it, kept within the facet.
+    """Project a point onto a facet near it, clamped to the facet.
 
     Parameters
     ----------

@@ -1,12 +1,11 @@
-"""Ground glass: light at an interface of GGX microfacets, each a smooth piece that reflects and refracts by Fresnel.
+"""Ground glass: an interface of GGX microfacets, each smooth, with Fresnel reflection and refraction.
 
-Single events at facets are those of Walter et al. (EGSR 2007). Light that a facet sends to another facet is followed
-through as many as it meets, by the random walk of Heitz, Hanika, d'Eon & Dachsbacher (SIGGRAPH 2016), with Smith's
-model: every facet met is independent of the last one, and what counts of a height is only the share of the surface that
-lies below it. So no light is lost. A ray that is refracted walks on below the surface, which is the same surface turned
-over.
+Single events at facets follow Walter et al. (EGSR 2007). Light between facets is followed by the random walk of Heitz,
+Hanika, d'Eon & Dachsbacher (SIGGRAPH 2016) with Smith's model, so no light is lost: each facet is independent of the
+last one, and a height matters only through the share of the surface below it. A refracted ray walks on below the
+surface, as above the same surface turned over.
 
-All in the local frame of the surface: +z is the mean normal on the side from which the light comes.
+All in the local frame of the surface: +z is the mean normal on the side of the arriving light.
 """
 
 import numpy as np
@@ -19,33 +18,33 @@ from lfmesh.transport.packets.random import uniform
 Direction = tuple[float, float, float]
 
 MOST_FACETS = 512
-"""Facets after which a walk is broken off; about three are usual, and each is left for the open with some chance."""
+"""Facets after which a walk is broken off; about three are usual."""
 
 LOWEST = 2.0**-53
-"""Least share of the surface below a ray, so that one in the deepest valley can leave it again."""
+"""Smallest share of the surface below a ray, so that a ray in the deepest valley can leave."""
 
 NUMBERS = 4
-"""Random numbers for each facet: height, normal (two), and whether it reflects."""
+"""Random numbers per facet: height, normal (two), and whether it reflects."""
 
 
 @kernel
 def ground_direction(
     alpha: float, n_i: float, n_t: float, arriving: Direction, u: float, v: float, key: np.uint64
 ) -> tuple[bool, float, float, float]:
-    """Return whether light passes a ground interface, and the unit direction in which it leaves.
+    """Return whether light passes a ground interface, and its new unit direction.
 
     Parameters
     ----------
     alpha : float
         Roughness α_g.
     n_i, n_t : float
-        Refractive index on the side of the light and on the other.
+        Refractive indices on the side of the light and on the other.
     arriving : (3,) float
         Unit direction of the light, z < 0.
     u, v : float
-        Random numbers, uniform in [0, 1), for the normal of the first facet.
+        Uniform in [0, 1), for the normal of the first facet.
     key : uint64
-        Of the other random numbers.
+        For the other random numbers.
     """
     x, y, z = arriving
     below, refracts = 1.0, False
@@ -59,7 +58,7 @@ def ground_direction(
         normal = visible_normal(alpha, -x, -y, -z, u, v)
         x, y, z, passes = _at_facet(n_i, n_t, (x, y, z), normal, uniform(key, NUMBERS * facet + 3))
         if passes:
-            # Over to the other side, which from now on is the upper one.
+            # To the other side, which is the upper one from now on.
             refracts, n_i, n_t, z, below = not refracts, n_t, n_i, -z, max(1.0 - below, LOWEST)
     z = abs(z)
     return refracts, x, y, -z if refracts else z
@@ -69,18 +68,17 @@ def ground_direction(
 def ground_density(
     alpha: float, n_i: float, n_t: float, arriving: Direction, leaving: Direction, key: np.uint64
 ) -> float:
-    """Return a random number whose mean is the density, 1/sr, with which `ground_direction` draws a direction.
+    """Return an unbiased random estimate of the density, 1/sr, of a direction in `ground_direction`.
 
-    At each facet of a random walk, what it sends straight that way and out is added.
+    Sums, over the facets of a random walk, the light sent straight out in that direction.
 
     Parameters
     ----------
     alpha, n_i, n_t, arriving
         As for `ground_direction`.
     leaving : (3,) float
-        Unit direction in which light leaves, below the surface if its z < 0.
+        Unit direction of leaving light, below the surface if z < 0.
     key : uint64
-        Of the random numbers.
     """
     x, y, z = arriving
     below, refracts, found = 1.0, False, 0.0
@@ -88,7 +86,7 @@ def ground_density(
         leaves, below = _next_height(alpha, below, x, y, z, uniform(key, NUMBERS * facet))
         if leaves:
             break
-        # The direction asked for, as the side sees it on which the ray is.
+        # The requested direction, in the frame of the ray's present side.
         asked = leaving[0], leaving[1], -leaving[2] if refracts else leaving[2]
         found += _straight(alpha, n_i, n_t, (-x, -y, -z), asked, below)
         u, v = uniform(key, NUMBERS * facet + 1), uniform(key, NUMBERS * facet + 2)
@@ -101,12 +99,12 @@ def ground_density(
 
 @inlined
 def _next_height(alpha: float, below: float, x: float, y: float, z: float, u: float) -> tuple[bool, float]:
-    """Return whether a ray leaves the surface and, if not, the share of the surface below the facet that it meets.
+    """Return whether a ray leaves the surface and, if not, the share of the surface below the next facet.
 
     Parameters
     ----------
     below : float
-        Share of the surface below its start.
+        Share of the surface below the ray's start.
     u : float
         Random number.
     """
@@ -121,7 +119,7 @@ def _next_height(alpha: float, below: float, x: float, y: float, z: float, u: fl
 def _at_facet(
     n_i: float, n_t: float, direction: Direction, normal: Direction, choice: float
 ) -> tuple[float, float, float, bool]:
-    """Reflect or refract a direction at a facet, by chance after Fresnel; tell whether it was refracted."""
+    """Reflect or refract a direction at a facet, with Fresnel probabilities; tell whether it was refracted."""
     (x, y, z), (mx, my, mz) = direction, normal
     facing = min(-(x * mx + y * my + z * mz), 1.0)
     reflectance, _, cos_t = fresnel(n_i, n_t, max(facing, 0.0))
@@ -137,9 +135,9 @@ def _at_facet(
 
 @inlined
 def _straight(alpha: float, n_i: float, n_t: float, source: Direction, leaving: Direction, below: float) -> float:
-    """Return the density, 1/sr, with which a facet sends light in a direction, times the chance that it gets out.
+    """Return the density, 1/sr, of light from a facet in a direction, times its chance of getting out.
 
-    `source` points to where the light at the facet comes from. Walter et al. 2007, eq. 13-17, with visible normals.
+    `source` points back to the origin of the light. Walter et al. 2007, eq. 13-17, with visible normals.
     """
     (ix, iy, iz), (ox, oy, oz) = source, leaving
     if oz > 0.0:

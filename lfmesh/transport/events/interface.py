@@ -1,7 +1,7 @@
 """Interfaces: shares of reflected and transmitted power, and the children of a packet.
 
-Only this module depends on the kind of an interface (see `tables.interfaces`), and only here is a packet divided. The
-regions find where an interface is met and where the children go.
+Only this module depends on the kind of an interface (see `tables.interfaces`), and only it divides packets. The regions
+find hits and the destinations of children.
 """
 
 from collections.abc import Callable
@@ -36,8 +36,8 @@ Array = NDArray[np.float64]
 Direction = tuple[float, float, float]
 
 IN_WALK, IN_DENSITY = 1 << 21, 1 << 22
-"""With the number of the event, numbers of the keys of random walks between facets; see `regions.targets.AIMED_CHILD`
-and the number of events itself for the other keys that a packet's key gives."""
+"""Plus the number of the event: numbers of the keys of random walks between facets. For the other keys derived from a
+packet's key, see `regions.targets.AIMED_CHILD` and the number of events itself."""
 
 
 @inlined
@@ -55,16 +55,16 @@ def shares(
     colour : int
         Number of the wavelength.
     n_i, n_t : float
-        Refractive index before and after the interface.
+        Refractive indices before and after the interface.
     cos_i : float
         Cosine of the angle of incidence, 0 to 1.
     outward : bool
-        Light comes from the side that the layers of a coating end with; between equal indices only this tells it.
+        Light comes from the side of a coating's last layer (the indices may be equal).
 
     Returns
     -------
     R, T, cos_t : float
-        Shares of the power; under total reflection 1, 0, 0, but R below 1 if a coating absorbs.
+        Shares of power; 1, 0, 0 under total reflection, but R below 1 if a coating absorbs.
     """
     reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
     row = interfaces.rows[number]
@@ -87,9 +87,9 @@ def divided(
     interfaces: Interfaces, number: int, colour: int, n_i: float, n_t: float, cos_i: float, outward: bool,
     packet: Any, book: Array,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Return what `shares` does, as shares of what a coating leaves of the packet.
+    """Return the results of `shares` relative to the packet after absorption in the coating.
 
-    What the coating absorbs is taken from the packet and entered in the book.
+    The absorbed weight is taken from the packet and entered in the book.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def divided(
 
 @inlined
 def is_thin_lens(interfaces: Interfaces, number: int) -> bool:
-    """Tell whether a thin lens stands in place of an interface."""
+    """Tell whether an interface is a thin lens."""
     return interfaces.rows[number].kind == THIN_LENS
 
 
@@ -119,21 +119,20 @@ def is_thin_lens(interfaces: Interfaces, number: int) -> bool:
 def through_thin_lens(
     interfaces: Interfaces, number: int, colour: int, x: float, y: float, direction: Direction
 ) -> tuple[float, float, float, float]:
-    """Return the direction behind a thin lens, and the factor (cosine behind / cosine before)⁴.
+    """Return the direction behind a thin lens, and the factor (cosine behind / cosine in front)⁴.
 
     The slopes dx/|dz| and dy/|dz| change by −x/f and −y/f: a collineation, which images points into points at every
-    angle (Born and Wolf, 4.3). That keeps dx dy d(slope) d(slope), of which an element of étendue is the cos⁴-fold. So
-    light that keeps its flux has its radiance divided by the factor, and importance, which goes against the light, is
-    multiplied by it.
+    angle (Born and Wolf, 4.3). It conserves dx dy d(slope) d(slope); an element of étendue is cos⁴ times that. So at
+    constant flux the factor divides radiance; it multiplies importance, which goes against the light.
 
     Parameters
     ----------
     interfaces, number, colour
         As for `shares`.
     x, y : float, mm
-        From the axis of the lens.
+        Distances from the axis of the lens.
     direction : (3,) float
-        Unit direction in its frame.
+        Unit direction in the lens's frame.
     """
     dx, dy, dz = direction
     power = interfaces.parameters[interfaces.rows[number].first, colour] * abs(dz)
@@ -153,10 +152,10 @@ def is_rough(interfaces: Interfaces, number: int) -> bool:
 def scattered(
     interfaces: Interfaces, number: int, options: Options, packet: Any, n_i: float, n_t: float, normal: Direction
 ) -> tuple[bool, float, float, float]:
-    """Return whether a rough interface transmits a packet, and the direction in which it leaves, both by chance.
+    """Draw whether a rough interface transmits a packet, and its new direction.
 
-    No power is lost, so that the packet keeps its weight. In basic radiance the process is symmetric: importance from
-    the sensor is scattered as flux is. Counts the event.
+    The packet keeps its weight. In basic radiance the process is symmetric: importance is scattered as flux is. Counts
+    the event.
 
     Parameters
     ----------
@@ -167,7 +166,7 @@ def scattered(
     options : Options
     packet : PACKET
     n_i, n_t : float
-        Refractive index before and after the interface.
+        Refractive indices before and after the interface.
     normal : (3,) float
         Unit normal along the ray.
     """
@@ -194,18 +193,18 @@ def scattered_density(
     interfaces: Interfaces, number: int, packet: Any, indices: tuple[float, float], normal: Direction,
     leaving: Direction, light: int,
 ) -> float:  # fmt: skip
-    """Return the density, 1/sr, with which `scattered` draws a direction; of ground interfaces, in the mean only.
+    """Return the density, 1/sr, of a direction in `scattered`; for ground interfaces an unbiased estimate.
 
     Parameters
     ----------
     interfaces, number, packet, normal
         As for `scattered`.
     indices : (2,) float
-        Refractive index before and after the interface.
+        Refractive indices before and after the interface.
     leaving : (3,) float
-        Unit direction in which light leaves.
+        Unit direction of the leaving light.
     light : int
-        Tells apart the directions that are asked for at one event.
+        Identifies the direction among those asked for at one event.
     """
     (n_i, n_t), (nx, ny, nz), (ox, oy, oz) = indices, normal, leaving
     dx, dy, dz = packet.dx, packet.dy, packet.dz
@@ -223,7 +222,7 @@ def scattered_density(
 
 
 def scatterer(send: Callable[..., None]) -> Callable[..., None]:
-    """Make the function that sends a packet on whose direction `scattered` has drawn.
+    """Make the function that sends a packet on in the direction drawn by `scattered`.
 
     Parameters
     ----------
@@ -241,14 +240,14 @@ def scatterer(send: Callable[..., None]) -> Callable[..., None]:
         surface: int, part: int, beyond: int, x: float, y: float, z: float, passes: bool,
         dx: float, dy: float, dz: float,
     ) -> None:  # fmt: skip
-        """Send a packet on with its whole weight. It stays in the class of paths that it is in, as on a target.
+        """Send a packet on with its whole weight, in its class of paths, as on a target.
 
         Parameters
         ----------
         frame, surface, part, beyond, x, y, z
-            As for a function that `splitter` makes.
+            As for the function made by `splitter`.
         passes : bool
-            It is transmitted.
+            The packet is transmitted.
         dx, dy, dz : float
             Unit direction.
         """
@@ -274,8 +273,8 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
     Parameters
     ----------
     send : kernel
-        Queues a child where it goes next, called as ``send(place, options, flow, frames, packet, refracts, x, y, z,
-        dx, dy, dz, weight, key)``: `place` holds what the region needs to send it, `packet` is the child's parent.
+        Queues a child at its next station, called as ``send(place, options, flow, frames, packet, refracts, x, y, z,
+        dx, dy, dz, weight, key)``: `place` holds data of the region, `packet` is the child's parent.
 
     Returns
     -------
@@ -288,12 +287,12 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
         surface: int, part: int, beyond: int, x: float, y: float, z: float, reflectance: float, transmittance: float,
         mirrored: tuple[float, float, float], bent: tuple[float, float, float],
     ) -> None:  # fmt: skip
-        """Divide a packet into its reflected and its refracted child, and send those that survive roulette.
+        """Divide a packet into its reflected and refracted child, and send the survivors of roulette.
 
         Parameters
         ----------
         frame : int
-            Of point and directions.
+            Frame of point and directions.
         surface, part : int
             Fields of a recorded vertex.
         beyond : int
@@ -315,7 +314,7 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
                 continue
             dx, dy, dz = bent if refracts else mirrored
             if frame == OBJECT_FRAME:
-                # In lens and array it follows from the space, and a field written just before it is read is slow.
+                # In lens and array the medium follows from the space, and reading a field just written is slow.
                 packet.medium = beyond if refracts else medium
             packet.path = after_interface(frame, refracts, transmittance, path)
             if options.record:

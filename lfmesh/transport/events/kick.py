@@ -1,11 +1,12 @@
-"""Diffraction at a lenslet's aperture, or the stop: a packet that passes it changes its direction by chance.
+"""Diffraction at a lenslet's aperture, or the stop: a random change of a packet's direction.
 
-The change is taken in air, at the lenslet's face: before a packet from the air meets it, and after one has left it. Of
-two faces with lenslets, light is diffracted at the one that limits it (`tables.lens.with_diffraction`).
-Drawn from the aperture's Fraunhofer pattern (`optics.diffraction`), it is added to the direction cosines along the
-array, and does not depend on them. So a path and its reverse have the same density, and weights stay as they are.
-Changes beyond a right angle are drawn again. What would run along the array or into the face all the same, as
-directions that are inclined already may, does not exist as a wave, and ends.
+The change takes place in air, at the lenslet's face: before a packet from the air meets it, or after it has left into
+air. Of two faces with lenslets, the limiting one diffracts (`tables.lens.with_diffraction`).
+
+The change is drawn from the aperture's Fraunhofer pattern (`optics.diffraction`), added to the direction cosines along
+the array, and independent of them. So a path and its reverse have the same density, and weights stay unchanged. Changes
+beyond a right angle are drawn again. An oblique ray that is still turned along the array or into the face is no wave,
+and ends.
 """
 
 from typing import Any
@@ -33,32 +34,32 @@ from lfmesh.transport.tables.tables import Apertures
 Array = NDArray[np.float64]
 
 IN_KICK = 1 << 23
-"""With the number of the event, number of the key of a change of direction; see `interface.IN_WALK`."""
+"""Plus the number of the event: number of the key of a change of direction; see `interface.IN_WALK`."""
 
 KICK_U, KICK_V = 6, 7
-"""Dimensions of a path's starting numbers, by which a pixel's sample changes its direction for the first time."""
+"""Dimensions of the starting numbers that give the first change of direction of a pixel's sample."""
 
 _DIMENSIONS = 1 << 10
-"""Random numbers from one trial to the next."""
+"""Distance between the random numbers of successive trials."""
 
 
 @inlined
 def key_of_kick(key: np.uint64, events: int) -> np.uint64:
-    """Return the key of the random numbers of a packet's change of direction.
+    """Return the key of a packet's change of direction.
 
     Parameters
     ----------
     key : uint64
         Of the packet.
     events : int
-        Number of interfaces that it has met.
+        Number of interfaces met so far.
     """
     return derived(key, IN_KICK + events)
 
 
 @kernel
 def drawn_kick(apertures: Apertures, colour: int, numbers: tuple[float, float], key: np.uint64) -> tuple[float, float]:
-    """Return the change of a packet's direction cosines along the aperture, in air.
+    """Return the change of direction cosines along the aperture, in air.
 
     Parameters
     ----------
@@ -66,9 +67,9 @@ def drawn_kick(apertures: Apertures, colour: int, numbers: tuple[float, float], 
     colour : int
         Number of the wavelength.
     numbers : (2,) float
-        Random numbers, uniform in [0, 1): see `kick_by_key` and `kick_of_packet`.
+        Uniform in [0, 1), see `kick_by_key` and `kick_of_packet`.
     key : uint64
-        Of further ones, see `key_of_kick`.
+        For further numbers, see `key_of_kick`.
     """
     (u, v), trial = numbers, 0
     while True:
@@ -88,7 +89,7 @@ def _two_numbers(key: np.uint64, trial: int) -> tuple[float, float]:
 
 @inlined
 def kick_by_key(apertures: Apertures, colour: int, key: np.uint64, events: int) -> tuple[float, float]:
-    """Return a packet's change of direction by its key alone.
+    """Return a packet's change of direction from its key alone.
 
     Parameters
     ----------
@@ -103,14 +104,14 @@ def kick_by_key(apertures: Apertures, colour: int, key: np.uint64, events: int) 
 
 @inlined
 def is_first_kick(apertures: Apertures, pixels: PixelSamples, events: int) -> bool:
-    """Tell whether a packet's change of direction takes two of the starting numbers of a pixel's sample.
+    """Tell whether a packet's change of direction uses two starting numbers of a pixel's sample.
 
     Parameters
     ----------
     apertures : Apertures
     pixels : PixelSamples
     events : int
-        Number of interfaces that the packet has met.
+        Number of interfaces met so far.
     """
     return pixels.each > 0 and events == apertures.events
 
@@ -139,17 +140,17 @@ def kick_of_packet(
 
 @inlined
 def _drawn_frequency(apertures: Apertures, u: float, v: float, key: np.uint64, first: int) -> tuple[float, float]:
-    """Return a frequency drawn for an aperture, in cycles over its widths.
+    """Draw a spatial frequency for an aperture, in cycles over its widths.
 
     Parameters
     ----------
     apertures : Apertures
     u, v : float
-        Random numbers, uniform in [0, 1).
+        Uniform in [0, 1).
     key : uint64
-        Of further ones.
+        For further random numbers.
     first : int
-        First of these.
+        First dimension.
     """
     if apertures.shape == ROUND:
         radius, angle = _drawn_distance(apertures, u, key, first + 1), 2.0 * np.pi * v
@@ -165,12 +166,12 @@ def _drawn_frequency(apertures: Apertures, u: float, v: float, key: np.uint64, f
 
 @inlined
 def _drawn_on_line(apertures: Apertures, u: float, key: np.uint64, first: int, least: float) -> float:
-    """Return a number with the density sinc², by a random number and further ones from the given one on.
+    """Return a number with the density sinc², from a random number and further ones from `first` on.
 
     Parameters
     ----------
     least : float
-        It is none of this share of the least ones.
+        Excludes the smallest absolute values, up to this share.
     """
     side = 2.0 * u - 1.0
     distance = _drawn_distance(apertures, least + (1.0 - least) * abs(side), key, first)
@@ -179,7 +180,7 @@ def _drawn_on_line(apertures: Apertures, u: float, key: np.uint64, first: int, l
 
 @kernel
 def _drawn_beyond_cells(apertures: Apertures, key: np.uint64) -> tuple[float, float]:
-    """Return a frequency drawn for a hexagon beyond the table of cells, by rejection from its rhombi."""
+    """Draw a frequency for a hexagon beyond the table of cells, by rejection from its rhombi."""
     _, near = distance_in_body(apertures.quantiles, NEAR_SHARE)
     trial = 0
     while True:
@@ -188,7 +189,7 @@ def _drawn_beyond_cells(apertures: Apertures, key: np.uint64) -> tuple[float, fl
         u, v = _two_numbers(own, 0)
         a = _drawn_on_line(apertures, u, own, 1, NEAR_SHARE)
         b = _drawn_on_line(apertures, v, own, _DIMENSIONS // 2 + 1, 0.0)
-        # Two far numbers may be drawn either way round.
+        # Two far numbers may be drawn in either order.
         ways, choice = 2.0 if abs(b) > near else 1.0, 6.0 * uniform(own, _DIMENSIONS)
         a, b = (b, a) if choice < 3.0 else (a, b)
         x, y = rhombus_frequency(int(choice) % 3, a, b)
@@ -201,14 +202,14 @@ def _drawn_beyond_cells(apertures: Apertures, key: np.uint64) -> tuple[float, fl
 
 @inlined
 def _drawn_distance(apertures: Apertures, share: float, key: np.uint64, first: int) -> float:
-    """Return the distance within which a share of the light lies, beyond the table by further random numbers."""
+    """Return the distance that encloses a share of the light; beyond the table, by further random numbers."""
     inside, x = distance_in_body(apertures.quantiles, share)
     return x if inside else _drawn_in_tail(apertures.shape, x, key, first)
 
 
 @kernel
 def _drawn_in_tail(shape: int, end: float, key: np.uint64, first: int) -> float:
-    """Return a distance beyond the end of the table."""
+    """Draw a distance beyond the end of the table."""
     while True:
         accepted, x = proposed_in_tail(shape, end, uniform(key, first), uniform(key, first + 1))
         first += 2
@@ -220,7 +221,7 @@ def _drawn_in_tail(shape: int, end: float, key: np.uint64, first: int) -> float:
 def turned(
     kick: tuple[float, float], dx: float, dy: float, dz: float, nx: float, ny: float, nz: float
 ) -> tuple[bool, float, float, float]:
-    """Return whether a direction in air can be changed, and the new one.
+    """Return whether a direction in air can be changed, and the result.
 
     Parameters
     ----------
@@ -243,14 +244,14 @@ def turned(
 def turned_along(
     kick: tuple[float, float], d: tuple[float, float, float], n: tuple[float, float, float]
 ) -> tuple[bool, float, float, float]:
-    """Return whether a direction's components along a face can be changed, and the new direction.
+    """Return whether a direction's components along a face can be changed, and the result.
 
     Parameters
     ----------
     kick : (2,) float
-        In the directions of x along the face, and square to that.
+        Along the projection of x on the face, and perpendicular to it.
     d, n : (3,) float
-        Unit direction, and unit normal of either side.
+        Unit direction, and unit normal of either sign.
     """
     over, along = 1.0 / np.sqrt(1.0 - n[0] * n[0]), d[0] * n[0] + d[1] * n[1] + d[2] * n[2]
     a, b = kick[0] * over, kick[1] * over
@@ -270,14 +271,14 @@ def kicked(
     apertures: Any, row: int, pixels: PixelSamples, packet: Any, key: np.uint64, d: tuple[float, float, float],
     n: tuple[float, float, float],
 ) -> tuple[bool, float, float, float]:  # fmt: skip
-    """Return whether a packet goes on past a lenslet's face, and its direction there.
+    """Return whether a packet continues past a lenslet's face, and its direction.
 
     Parameters
     ----------
     apertures : Apertures or None
-        None: there is no diffraction.
+        None without diffraction.
     row : int
-        Of the face among the array's interfaces: only one of two diffracts.
+        Row of the face among the array's interfaces; only one of two faces diffracts.
     pixels, packet, key
         As for `kick_of_packet`.
     d, n : (3,) float

@@ -1,4 +1,4 @@
-"""Object space as its kernels work in it."""
+"""Data of object space for its kernels."""
 
 from typing import NamedTuple
 

@@ -1,17 +1,15 @@
-"""The state of polarisation of packets: at interfaces, targets, lights and the polariser before the sensor.
+"""State of polarisation of packets: at interfaces, targets, lights and the polariser in front of the sensor.
 
-A packet's `stokes` are Q, U and V over I, and its weight is I. They belong to the ray in the direction in which the
-packet goes, by the conventions of `optics.polarisation`, with a reference direction in the world frame: the array's own
-frame may be mirrored, and a mirror turns right-handed light into left-handed.
+A packet's `stokes` are Q, U and V over I, and its weight is I. They refer to the packet's direction of travel, by the
+conventions of `optics.polarisation`, with a reference direction in the world frame: the array's own frame may be
+mirrored, which turns right-handed light into left-handed.
 
-In the adjoint method light goes the other way. There weight and `stokes` are those of the light turned round that the
-pixel would take in best: light with (I, Q, U, V), given for the light's own direction and the same reference direction,
-adds weight · (I + q Q − u U + v V) to the pixel. Interfaces and the polariser do the same to both, see
-`optics.polarisation`. Targets depolarise what they scatter and emit, so of a packet that meets one only its weight
-counts.
+In the adjoint method light travels against the packet. Weight and `stokes` then describe the reversed light with the
+strongest response of the pixel: light with (I, Q, U, V), given for its own direction and the same reference direction,
+adds weight · (I + q Q − u U + v V) to the pixel. Interfaces and the polariser act on both in the same way, see
+`optics.polarisation`. Targets depolarise scattered and emitted light, so at a target only a packet's weight counts.
 
-The functions that steps shared with unpolarised light call begin with ``polarised is None``. There numba compiles
-nothing else of them.
+Functions shared with unpolarised light begin with ``polarised is None``; numba then compiles nothing else of them.
 """
 
 from typing import Any
@@ -29,8 +27,8 @@ Array = NDArray[np.float64]
 Direction = tuple[float, float, float]
 
 NORMAL2 = 1e-24
-"""Squared sine of the angle of incidence below which any reference direction will do: s- and p-polarised light differ
-by no more than this."""
+"""Squared sine of the angle of incidence below which any reference direction is accepted: s- and p-polarised light
+differ by no more than this."""
 
 
 @inlined
@@ -38,28 +36,28 @@ def shares_by_state(
     polarised: Any, region: int, number: int, outward: bool, n_i: float, n_t: float, cos_i: float, normal: Direction,
     frames: Array, frame: int, packet: Any, book: Array, reflectance: float, transmittance: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return reflectance and transmittance for the state of a packet, and set the states of its children.
+    """Return reflectance and transmittance for a packet's state, and set the states of its children.
 
-    What a coating absorbs is taken from the packet and entered in the book; the shares are of what it leaves.
+    Absorption in a coating is taken from the packet and entered in the book; the shares refer to the rest.
 
     Parameters
     ----------
     polarised : PolarisationTables or None
     region, number : int
-        Of the interface: the region, and its row there.
+        Region of the interface, and its row there.
     outward : bool
-        Light comes from the far side: in object space and array from the inside, in the lens from the sensor's side.
+        Light comes from the far side: from the inside in object space and array, from the sensor's side in the lens.
     n_i, n_t, cos_i : float
-        Refractive index before and behind the interface, and cosine of the angle of incidence.
+        Refractive indices before and behind the interface, and cosine of incidence.
     normal : (3,) float
         Unit normal, along the ray.
     frames : (6, 6, 3, 4) float64
     frame : int
-        Of the normal and the packet.
+        Frame of the normal and the packet.
     packet : POLARISED
     book : (slots,) float64
     reflectance, transmittance : float
-        Shares of unpolarised light, returned where packets have no state.
+        Shares of unpolarised light, returned if packets have no state.
     """
     if polarised is None:
         return reflectance, transmittance
@@ -87,7 +85,7 @@ def shares_by_state(
 
 @inlined
 def _with_s_axis(packet: Any, frames: Array, frame: int, normal: Direction) -> Direction:
-    """Return a packet's state with the reference direction s of an interface, and set that as the children's."""
+    """Return a packet's state for the reference direction s of an interface; set s for the children."""
     dx, dy, dz = move_direction(frames, frame, WORLD_FRAME, packet.dx, packet.dy, packet.dz)
     nx, ny, nz = move_direction(frames, frame, WORLD_FRAME, normal[0], normal[1], normal[2])
     sx, sy, sz = dy * nz - dz * ny, dz * nx - dx * nz, dx * ny - dy * nx
@@ -97,7 +95,7 @@ def _with_s_axis(packet: Any, frames: Array, frame: int, normal: Direction) -> D
         size2 = sx * sx + sy * sy + sz * sz
     scale = 1.0 / np.sqrt(size2)
     sx, sy, sz = sx * scale, sy * scale, sz * scale
-    # Close to normal incidence the product's rounding errors are no longer square to the ray.
+    # Close to normal incidence the product's rounding errors are no longer perpendicular to the ray.
     along = sx * dx + sy * dy + sz * dz
     sx, sy, sz = sx - along * dx, sy - along * dy, sz - along * dz
     size2 = sx * sx + sy * sy + sz * sz
@@ -113,20 +111,20 @@ def _with_s_axis(packet: Any, frames: Array, frame: int, normal: Direction) -> D
 
 @inlined
 def _referred_to(packet: Any, dx: float, dy: float, dz: float, sx: float, sy: float, sz: float) -> Direction:
-    """Return a packet's state with another reference direction, square to its direction, all in the world frame."""
+    """Return a packet's state for another reference direction, perpendicular to its direction, in the world frame."""
     q, u, v = packet.stokes[0], packet.stokes[1], packet.stokes[2]
     ex, ey, ez = packet.reference[0], packet.reference[1], packet.reference[2]
     cosine = ex * sx + ey * sy + ez * sz
     sine = (dy * ez - dz * ey) * sx + (dz * ex - dx * ez) * sy + (dx * ey - dy * ex) * sz
     if q != 0.0 or u != 0.0:
-        # Otherwise the reference direction means nothing, and may be any.
+        # Otherwise the reference direction is arbitrary.
         q, u = turned(q, u, cosine, sine)
     return q, u, v
 
 
 @inlined
 def become_child(polarised: Any, packet: Any, refracts: bool) -> None:
-    """Give a packet that is divided the state of its refracted or its reflected child.
+    """Give a divided packet the state of its refracted or its reflected child.
 
     Parameters
     ----------
@@ -157,22 +155,21 @@ def depolarise(polarised: Any, packet: Any) -> None:
 
 @inlined
 def through_polariser(polarised: Any, packet: Any, weight: float, frame: int, frames: Array, book: Array) -> float:
-    """Take a packet through the polariser before the sensor, if there is one; return its weight behind it.
+    """Pass a packet through the polariser in front of the sensor, if any; return its weight.
 
-    The polariser transmits the field that is square to the ray and to its absorbing axis, whatever the angle of
-    incidence, as a sheet of parallel molecules does that absorb along their axis.
+    At any angle of incidence, the polariser transmits the field perpendicular to the ray and to its absorbing axis,
+    like a sheet of parallel absorbing molecules.
 
     Parameters
     ----------
     polarised : PolarisationTables or None
     packet : POLARISED
     weight : float
-        Of the packet.
     frame : int
-        Of the packet.
+        Frame of the packet.
     frames : (6, 6, 3, 4) float64
     book : (slots,) float64
-        What is absorbed is entered here.
+        Receives the absorbed weight.
     """
     if polarised is None:
         return weight
@@ -186,14 +183,14 @@ def through_polariser(polarised: Any, packet: Any, weight: float, frame: int, fr
 def behind_polariser(
     polarised: Any, packet: Any, weight: float, dx: float, dy: float, dz: float, frames: Array, book: Array
 ) -> float:
-    """Start a packet of the adjoint method at a pixel, and take it through the polariser; return its weight.
+    """Start a packet of the adjoint method at a pixel and pass it through the polariser; return its weight.
 
     Parameters
     ----------
     polarised : PolarisationTables or None
     packet : POLARISED
     weight : float
-        Of the packet at the pixel, which takes in light of any state.
+        At the pixel, which detects light of any state.
     dx, dy, dz : float
         Unit direction, sensor frame.
     frames : (6, 6, 3, 4) float64
@@ -213,7 +210,7 @@ def behind_polariser(
 
 @inlined
 def _polarised(polarised: Any, packet: Any, weight: float, dx: float, dy: float, dz: float, book: Array) -> float:
-    """Take a packet of a direction (world frame) through the polariser; return its weight behind it."""
+    """Pass a packet of a given direction (world frame) through the polariser; return its weight."""
     axis = polarised.absorbing
     ex, ey, ez = dy * axis[2] - dz * axis[1], dz * axis[0] - dx * axis[2], dx * axis[1] - dy * axis[0]
     scale = 1.0 / np.sqrt(ex * ex + ey * ey + ez * ez)
@@ -228,16 +225,16 @@ def _polarised(polarised: Any, packet: Any, weight: float, dx: float, dy: float,
 
 @inlined
 def polarise_as_light(polarised: Any, packet: Any, number: int, dx: float, dy: float, dz: float) -> None:
-    """Give a packet the state of the light that it comes from.
+    """Give a packet the polarisation of its light.
 
     Parameters
     ----------
     polarised : PolarisationTables or None
     packet : POLARISED
     number : int
-        Of the light.
+        Number of the light.
     dx, dy, dz : float
-        Unit direction, object frame, whose axes are the world's.
+        Unit direction, object frame (with the world's axes).
     """
     if polarised is None:
         return
@@ -248,7 +245,7 @@ def polarise_as_light(polarised: Any, packet: Any, number: int, dx: float, dy: f
 
 @inlined
 def _across(dx: float, dy: float, dz: float) -> Direction:
-    """Return the unit direction of the part of the x axis that is square to a ray; of the y axis, for a ray along x."""
+    """Return the unit direction of the x axis's component perpendicular to a ray; for a ray along x, the y axis."""
     size2 = dy * dy + dz * dz
     if size2 < NORMAL2:
         return 0.0, 1.0, 0.0
@@ -257,14 +254,14 @@ def _across(dx: float, dy: float, dz: float) -> Direction:
 
 
 def across(directions: ArrayLike, axis: ArrayLike = (1.0, 0.0, 0.0)) -> Array:
-    """Return the reference directions of rays from an axis: the part of it that is square to the ray.
+    """Return the reference directions of rays: the component of an axis perpendicular to each ray.
 
     Parameters
     ----------
     directions : (n, 3) float64
-        Unit directions of the rays.
+        Unit directions.
     axis : (3,) or (n, 3) float64
-        Of any length but 0. Where a ray goes along it, the y axis takes its place, or else the z axis.
+        Of any length but 0. For a ray along it, the y axis replaces it, or else the z axis.
 
     Returns
     -------
@@ -278,7 +275,7 @@ def across(directions: ArrayLike, axis: ArrayLike = (1.0, 0.0, 0.0)) -> Array:
         e = e - (e * d).sum(axis=1, keepdims=True) * d
         size = np.linalg.norm(e, axis=1, keepdims=True)
         found = np.where(size**2 < NORMAL2, found, e / np.where(size > 0.0, size, 1.0))
-    # Once more, as the difference of nearly parallel directions has lost digits.
+    # Once more, because the difference of nearly parallel directions has lost digits.
     found -= (found * d).sum(axis=1, keepdims=True) * d
     return found / np.linalg.norm(found, axis=1, keepdims=True)
 

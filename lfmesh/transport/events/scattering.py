@@ -1,15 +1,14 @@
-"""Scattering models of targets: albedo, BRDF, sampling of directions, and the density of the samples.
+"""Scattering models of targets: albedo, BRDF, sampled directions and their density.
 
-Only this module depends on the kind of a model; Lambert's comes first, as most targets are matt. `evaluate` weights
-light from lamps and the child that is aimed at the camera; `sample` draws the direction of a child that is not aimed;
-`density` gives the weight between the two where both could have found the same path. A model has a branch in each of
-the four functions. Emission by temperature is one of them: it is 1 less the albedo of the surface, so that in an
-isothermal room all looks like a black body (Kirchhoff). All others are reciprocal, so that the two methods, which
-follow a path in opposite directions, agree. Interpolated normals are not: a point knows which of its two directions
-leads to the light, and the two methods evaluate the same number.
+Only this module depends on the kind of a model; Lambert's comes first, as most targets are matt. A model has a branch
+in each of the four functions. `evaluate` weights light from lamps and the child aimed at the camera, `sample` draws the
+direction of an unaimed child, and `density` weights the two if both could find the same path. Emission by temperature
+is a model too: 1 minus the surface's albedo, so everything in an isothermal room looks like a black body (Kirchhoff).
+All other models are reciprocal, so the two methods agree. Interpolated normals are not; but a point knows which of its
+directions leads to the light, so both methods evaluate the same number.
 
 All functions have the parameters `scattering` (the tables), `point`, `colour` (number of the wavelength), and unit
-directions along which light travels: `incoming` or `ix, iy, iz` towards the point, `outgoing` or `ox, oy, oz` away from
+directions of travel of the light: `incoming` or `ix, iy, iz` towards the point, `outgoing` or `ox, oy, oz` away from
 it.
 """
 
@@ -25,11 +24,11 @@ from lfmesh.transport.tables.scattering import LAMBERTIAN, THERMAL, ScatteringTa
 Direction = tuple[float, float, float]
 
 OUTLINE = 0.1
-"""Cosine at which a smooth surface is seen, over that of its facet, below which its normal is turned."""
+"""Cosine of view at a smooth surface's normal, over the cosine at its facet, below which the normal is turned."""
 
 
 class Point(NamedTuple):
-    """A point of a target at which light arrives or leaves."""
+    """Point of a target where light arrives or leaves."""
 
     prim: int  # facet
     x: float
@@ -44,23 +43,22 @@ class Point(NamedTuple):
     sx: float = 0.0  # unit normal interpolated between the facet's corners
     sy: float = 0.0
     sz: float = 0.0
-    to_light: bool = False  # packets leave the point towards the light, else they come from it
-    u: float = 0.0  # random numbers, uniform in [0, 1), where a smooth point emits by temperature
+    to_light: bool = False  # packets leave the point towards the light; else they come from it
+    u: float = 0.0  # random numbers, uniform in [0, 1), for a smooth point that emits by temperature
     v: float = 0.0
 
 
 @inlined
 def albedo(scattering: ScatteringTables, point: Point, colour: int, ix: float, iy: float, iz: float) -> float:
-    """Return the share of the light from a direction that is scattered.
+    """Return the scattered share of the light from a direction.
 
     Parameters
     ----------
     scattering : ScatteringTables
     point : Point
     colour : int
-        Number of the wavelength.
     ix, iy, iz : float
-        Unit direction towards where the light comes from.
+        Unit direction of the light towards the point.
     """
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN and not point.smooth:
@@ -72,13 +70,13 @@ def albedo(scattering: ScatteringTables, point: Point, colour: int, ix: float, i
 
 @inlined
 def is_hot(scattering: ScatteringTables, row: int) -> bool:
-    """Tell whether a model emits by temperature: as what absorbs at its surface, in all directions.
+    """Tell whether a model emits by temperature, in each direction as it absorbs.
 
     Parameters
     ----------
     scattering : ScatteringTables
     row : int
-        Of a model by which a surface emits.
+        Row of an emission model.
     """
     return scattering.models[row].kind == THERMAL
 
@@ -87,7 +85,7 @@ def is_hot(scattering: ScatteringTables, row: int) -> bool:
 def evaluate(
     scattering: ScatteringTables, point: Point, colour: int, incoming: Direction, outgoing: Direction
 ) -> float:  # fmt: skip
-    """Return the BRDF, 1/sr: radiance that leaves in one direction over irradiance from another.
+    """Return the BRDF, 1/sr: leaving radiance in one direction over irradiance from another.
 
     Both directions must be on the same side of the target.
 
@@ -96,7 +94,6 @@ def evaluate(
     scattering : ScatteringTables
     point : Point
     colour : int
-        Number of the wavelength.
     incoming, outgoing : (3,) float
         Unit directions of the light.
     """
@@ -117,7 +114,7 @@ def sample(
     Parameters
     ----------
     u, v : float
-        Random numbers, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
@@ -136,7 +133,7 @@ def sample(
 def density(
     scattering: ScatteringTables, point: Point, colour: int, incoming: Direction, outgoing: Direction
 ) -> float:  # fmt: skip
-    """Return the density, 1/sr, with which `sample` draws a direction.
+    """Return the density, 1/sr, of a direction in `sample`.
 
     Parameters
     ----------
@@ -153,17 +150,17 @@ def density(
 
 @inlined
 def _local(nx: float, ny: float, nz: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return a direction in a local frame whose z axis is the normal nx, ny, nz."""
+    """Return a direction in a local frame with the normal nx, ny, nz as its z axis."""
     ux, uy, uz, vx, vy, vz = tangents(nx, ny, nz)
     return ux * x + uy * y + uz * z, vx * x + vy * y + vz * z, nx * x + ny * y + nz * z
 
 
 @inlined
 def _seen_normal(point: Point, vx: float, vy: float, vz: float) -> tuple[float, float, float]:
-    """Return the unit normal of the shading frame at a point that is seen from a direction.
+    """Return the unit shading normal at a point seen from a direction.
 
-    An interpolated normal that looks away from where the point is seen is turned towards the facet's, just so far that
-    it does not: gloss would be black there, along the outline of the body.
+    An interpolated normal that faces away is turned towards the facet's normal until it no longer does; otherwise gloss
+    would be black along the body's outline.
 
     Parameters
     ----------
@@ -186,16 +183,16 @@ def _seen_normal(point: Point, vx: float, vy: float, vz: float) -> tuple[float, 
 def _smooth_light(
     point: Point, sx: float, sy: float, sz: float, lx: float, ly: float, lz: float
 ) -> float:  # fmt: skip
-    """Return the cosine of incidence by which a smooth surface counts light, over that at its facet.
+    """Return the effective cosine of incidence at a smooth surface, over the cosine at its facet.
 
-    The cosine at the interpolated normal, with which a facet would shine up to the line where it turns from the light
-    and be black beyond, falls smoothly to zero there: Chiang, Li and Burley, "Taming the Shadow Terminator", SIGGRAPH
-    2019 Talks. It is never larger than the cosine itself, so that no light is gained.
+    The plain cosine at the interpolated normal would leave facets bright up to their horizon and black beyond. The
+    effective one falls smoothly to zero there: Chiang, Li and Burley, "Taming the Shadow Terminator", SIGGRAPH 2019
+    Talks. It never exceeds the plain cosine, so no light is gained.
 
     Parameters
     ----------
     sx, sy, sz : float
-        Unit normal of the shading frame.
+        Unit shading normal.
     lx, ly, lz : float
         Unit direction of the light, away from the surface.
     """
@@ -214,7 +211,7 @@ def _smooth_light(
 def _other_albedo(
     scattering: ScatteringTables, point: Point, colour: int, ix: float, iy: float, iz: float
 ) -> float:  # fmt: skip
-    """Return the albedo of a glossy or smooth point, see `albedo`; of gloss on smooth points to first order."""
+    """Return the albedo of a glossy or smooth point, see `albedo`; for gloss on smooth points, to first order."""
     model = scattering.models[point.model]
     nx, ny, nz = _seen_normal(point, -ix, -iy, -iz)
     light = 1.0
@@ -230,18 +227,17 @@ def _other_albedo(
 def emissivity(
     scattering: ScatteringTables, point: Point, colour: int, ox: float, oy: float, oz: float
 ) -> float:  # fmt: skip
-    """Return the emissivity of a point with a temperature in a direction: 1 less the albedo for uniform light.
+    """Return the directional emissivity of a point with a temperature: 1 minus the albedo for uniform light.
 
-    The albedo is that of the BRDF as it is traced. On a smooth point, where no table has what a facet's own horizon and
-    `_smooth_light` take away, that is estimated without bias from a single direction of light.
+    The albedo is that of the BRDF as traced. On a smooth point, the light removed by the facet's horizon and
+    `_smooth_light` is in no table; a single direction of light gives an unbiased estimate.
 
     Parameters
     ----------
     scattering : ScatteringTables
     point : Point
-        Of a `THERMAL` model.
+        With a `THERMAL` model.
     colour : int
-        Number of the wavelength.
     ox, oy, oz : float
         Unit direction away from the surface.
     """
@@ -266,7 +262,7 @@ def emissivity(
 
 @kernel
 def _albedos(scattering: ScatteringTables, point: Point, colour: int, cosine: float) -> tuple[float, float]:
-    """Return what the dielectric and the metal share of a glossy point scatter of light from a direction."""
+    """Return the albedos of a glossy point's dielectric and metal shares, for light at a cosine of incidence."""
     model = scattering.models[point.model]
     dielectric, metal = 0.0, 0.0
     if model.metal < 1.0:
@@ -284,8 +280,8 @@ def _evaluate_other(
 ) -> float:  # fmt: skip
     """Return the BRDF of a glossy or smooth point, see `evaluate`.
 
-    On a smooth point it is that of the shading frame times the cosine at which light is counted there over that at the
-    facet, the same for both directions in which a path can be followed (Veach, thesis, 1997, section 5.3).
+    On a smooth point it is the BRDF of the shading frame times `_smooth_light`, the same for both senses of following a
+    path (Veach, thesis, 1997, section 5.3).
     """
     (ix, iy, iz), (ox, oy, oz) = incoming, outgoing
     model = scattering.models[point.model]
@@ -314,7 +310,7 @@ def _evaluate_other(
 
 @kernel
 def _chance_of_metal(scattering: ScatteringTables, point: Point, colour: int, cosine: float) -> float:
-    """Return the chance with which a direction is drawn as the metal share of a glossy point reflects."""
+    """Return the chance of drawing a direction from the metal share of a glossy point."""
     model = scattering.models[point.model]
     if model.metal == 0.0 or model.metal == 1.0:
         return model.metal
@@ -345,7 +341,7 @@ def _density_of_gloss(
 def _sample_gloss(
     scattering: ScatteringTables, point: Point, colour: int, incoming: Direction, u: float, v: float
 ) -> tuple[float, float, float, float]:
-    """Return a random direction from a glossy point and what it carries, see `sample`."""
+    """Draw a direction from a glossy point, with its weight, see `sample`."""
     ix, iy, iz = incoming
     first, texel = scattering.models[point.model].first, point.texel
     nx, ny, nz = _seen_normal(point, -ix, -iy, -iz)
@@ -362,7 +358,7 @@ def _sample_gloss(
     if cosine <= 0.0:
         # Above the shading frame's horizon, and below the facet's.
         return ox, oy, oz, 0.0
-    # From the direction as it is stored, so that evaluation and density there give the same numbers.
+    # For the direction as stored, so that evaluation and density give the same numbers.
     density = _density_of_gloss(scattering, point, colour, incoming, (ox, oy, oz))
     if density <= 0.0:
         return ox, oy, oz, 0.0

@@ -1,4 +1,4 @@
-"""Points at which media scatter light on a line: random ones, and the density of any other."""
+"""Points on a line where media scatter light: random ones, and the density of any other."""
 
 from typing import NamedTuple
 
@@ -11,20 +11,20 @@ from lfmesh.transport.packets.random import uniform
 from lfmesh.transport.tables.volumes import Volumes
 
 PLACE, WHICH = 0, 2
-"""Dimensions of a scattering point's random numbers, beside that of its step: its place in the step, and the medium."""
+"""Dimensions of a scattering point's random numbers besides the step's: its place in the step, and the medium."""
 
 
 class ScatteringPoint(NamedTuple):
-    """A point of a line at which light is scattered.
+    """Point on a line where light is scattered.
 
     Attributes
     ----------
     t : float, mm
-        Its distance.
+        Distance.
     share : float
-        Of the light that set out, which is scattered there; its mean is `Passage.scattered`.
+        Scattered share of the initial light; its mean is `Passage.scattered`.
     density : float
-        Of the light that is scattered there, over that which set out, 1/mm.
+        Light scattered there per length, over the initial light, 1/mm.
     medium : int
         Number of the medium.
     """
@@ -37,14 +37,14 @@ class ScatteringPoint(NamedTuple):
 
 @kernel
 def scattering_point(volumes: Volumes, line: Line, passage: Passage, key: np.uint64) -> ScatteringPoint:
-    """Return a random point of a line at which light is scattered.
+    """Draw a point on a line where light is scattered.
 
     Parameters
     ----------
     volumes : Volumes
     line : Line
     passage : Passage
-        Of the line, of which some light is scattered.
+        Of the line, with some light scattered.
     key : uint64
         As in `pass_through`.
     """
@@ -75,7 +75,7 @@ def scattering_point(volumes: Volumes, line: Line, passage: Passage, key: np.uin
 
 @kernel
 def scattered_at(volumes: Volumes, line: Line, t: float, book: Array, key: np.uint64) -> tuple[float, int]:
-    """Return the light that is scattered at a distance on a line, over that which set out, 1/mm, and a random medium.
+    """Return the light scattered at a distance on a line, over the initial light, 1/mm, and a random medium.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def scattered_at(volumes: Volumes, line: Line, t: float, book: Array, key: np.ui
     t : float, mm
         Less than the line's length.
     book : (slots,) float64
-        Nothing is entered.
+        Unchanged.
     key : uint64
         As in `pass_through`.
     """
@@ -99,7 +99,7 @@ def scattered_at(volumes: Volumes, line: Line, t: float, book: Array, key: np.ui
 
 @kernel
 def _medium_at(volumes: Volumes, line: Line, t: float, middle: float, choice: float) -> int:
-    """Return the medium at a point in whose share of the scattering, added up in their order, a number lies."""
+    """Return the medium selected by a number among the cumulative scattering coefficients at a point."""
     which = 0
     for number in range(len(volumes.rows)):
         ks = _scattering_at(volumes, line, number, t, middle)
@@ -111,7 +111,7 @@ def _medium_at(volumes: Volumes, line: Line, t: float, middle: float, choice: fl
 
 @kernel
 def _scattering_at(volumes: Volumes, line: Line, number: int, t: float, middle: float) -> float:
-    """Return a medium's scattering coefficient at a distance on a line, 1/mm; 0 where `middle` is outside of it."""
+    """Return a medium's scattering coefficient at a distance on a line, 1/mm; 0 if `middle` is outside it."""
     row = volumes.rows[number]
     if row.inside != line.place:
         return 0.0

@@ -1,8 +1,7 @@
-"""Travel of a packet along its ray, through the medium that it is in.
+"""Travel of a packet along its ray, through its current medium.
 
-Packets of all regions advance here and nowhere else, so that absorption in a medium has one place: light decays as
-exp(−α d) (Bouguer, Lambert and Beer), and what is taken is entered in the book. Media without a shape of glass, like
-flames and fog, are in `events.volume`.
+Packets of all regions advance only here, so absorption has one place: light decays as exp(−α d) (Bouguer, Lambert and
+Beer), and the loss is entered in the book. Media without a glass body, like flames and fog, are in `events.volume`.
 """
 
 from typing import Any
@@ -16,9 +15,9 @@ from lfmesh.transport.tables.tables import Media
 
 @inlined
 def travel(flow: Flow, media: Media, packet: Any, medium: int, t: float) -> tuple[float, float, float]:
-    """Let a packet travel along its ray; return the point that it reaches, mm, in its frame.
+    """Move a packet along its ray; return the point that it reaches, mm, in its frame.
 
-    Its weight becomes what is left there.
+    Absorption reduces its weight.
 
     Parameters
     ----------
@@ -26,9 +25,7 @@ def travel(flow: Flow, media: Media, packet: Any, medium: int, t: float) -> tupl
     media : Media
     packet : PACKET
     medium : int
-        Number of the medium that it travels in.
     t : float, mm
-        Distance.
     """
     return arrive(
         flow, media, packet, medium, packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
@@ -39,7 +36,7 @@ def travel(flow: Flow, media: Media, packet: Any, medium: int, t: float) -> tupl
 def arrive(
     flow: Flow, media: Media, packet: Any, medium: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Let a packet travel to a point of its ray that is known more accurately than its distance; return the point.
+    """Move a packet to a point of its ray, known more accurately than its distance; return the point.
 
     Parameters
     ----------
@@ -47,7 +44,6 @@ def arrive(
     media : Media
     packet : PACKET
     medium : int
-        Number of the medium that it travels in.
     x, y, z : float, mm
         The point, in the packet's frame.
     """
@@ -57,7 +53,7 @@ def arrive(
 
 @inlined
 def _absorb(absorption: Any, flow: Flow, packet: Any, medium: int, x: float, y: float, z: float) -> None:
-    """Take from a packet what its medium absorbs up to a point."""
+    """Reduce a packet's weight by absorption in its medium up to a point."""
     if absorption is None:
         return
     if absorption.per_mm[medium, packet.colour] > 0.0:
@@ -70,7 +66,7 @@ def _absorb(absorption: Any, flow: Flow, packet: Any, medium: int, x: float, y: 
 
 @inlined
 def transmitted(absorption: Any, medium: int, colour: int, distance: float) -> float:
-    """Return the share of the light that a medium transmits over a distance; all of it where nothing absorbs.
+    """Return the share of light that a medium transmits over a distance; 1 without absorption.
 
     Parameters
     ----------

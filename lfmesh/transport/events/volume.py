@@ -1,13 +1,12 @@
-"""Light on its way through media: what they absorb, emit and scatter along a straight line in one body, or in air.
+"""Absorption, emission and scattering of media along a straight line in one body, or in air.
 
-A line is divided where it enters or leaves a medium and where it crosses from one voxel cell into the next. Along a
-step between two such places the sum of all coefficients is constant, or a cubic polynomial (trilinear along a line), of
-which two points of Gauss's quadrature integrate the optical depth exactly. So transmittance has no noise and no bias,
-in shadow rays too, and neither majorants nor null collisions are needed.
+A line is divided at the bounds of media and of voxel cells. Along a step between these the sum of all coefficients is
+constant, or a cubic polynomial (trilinear along a line), so two-point Gauss quadrature integrates the optical depth
+exactly. Transmittance has no noise and no bias, in shadow rays too, without majorants or null collisions.
 
-The emission of a step, ∫ j exp(−τ) dt, is exact where the coefficients are constant. Elsewhere it is taken at the two
-points, in steps of optical depth up to `THIN`: its error in a step of length h is at most h⁵ / 4320 times the largest
-fourth derivative of the integrand, so that it falls with the fourth power of the voxels' size.
+The emission of a step, ∫ j exp(−τ) dt, is exact for constant coefficients. Otherwise it is evaluated at the two points,
+in steps of optical depth up to `THIN`. Its error in a step of length h is at most h⁵ / 4320 times the largest fourth
+derivative of the integrand; it falls with the fourth power of the voxel size.
 """
 
 from typing import Any, NamedTuple
@@ -25,46 +24,46 @@ from lfmesh.transport.tables.volumes import BY_TEMPERATURE, OF_BODY, OF_VOXELS, 
 Array = NDArray[np.float64]
 
 LOW, HIGH = 0.5 - np.sqrt(3.0) / 6.0, 0.5 + np.sqrt(3.0) / 6.0
-"""Points of Gauss's quadrature in [0, 1], of equal weight."""
+"""Points of two-point Gauss quadrature in [0, 1], of equal weight."""
 
 THIN = 0.5
-"""Largest optical depth of a step in which coefficients vary."""
+"""Largest optical depth of a step with varying coefficients."""
 
 CLEAR_DEPTH = 1e-17
 """Optical depth below which float64 loses no light."""
 
 OPAQUE_DEPTH = 700.0
-"""Optical depth beyond which float64 has no light left."""
+"""Optical depth beyond which no light is left in float64."""
 
 MOST_STEPS = 1_000_000
 """Largest number of steps on a line; light that needs more is lost."""
 
 STEP = 1
-"""Dimension of the random number by which a step is drawn in which light is scattered."""
+"""Dimension of the random number that draws the step with the scattering point."""
 
 
 class Passage(NamedTuple):
-    """A line through media.
+    """Results of a line through media.
 
     Attributes
     ----------
     transmittance : float
     light : float
-        Emission that arrives at the line's start, W/(m² sr).
+        Emission arriving at the line's start, W/(m² sr).
     scattered : float
-        Share of the light that is scattered on the line.
+        Share of the light scattered on the line.
     begin, length : float, mm
-        Of a step, drawn by the share that is scattered there.
+        A step, drawn by the share scattered there.
     extinction : float
-        Mean coefficient of the step, 1/mm.
+        Mean extinction coefficient of the step, 1/mm.
     before : float
         Transmittance up to the step.
     chance : float
-        Share of `scattered` with which the step was drawn.
+        Probability of the step: its share of `scattered`.
     first, last : float, mm
-        Between these distances light is scattered.
+        Range of distances with scattering.
     densest : float
-        Largest share of the light that is scattered per length at the begin of a step, 1/mm.
+        Largest product of transmittance and scattering coefficient over the steps, 1/mm.
     """
 
     transmittance: float
@@ -88,7 +87,7 @@ class Line(NamedTuple):
     ray : Ray
         In the object frame.
     place : int
-        Rank of the body of glass or liquid that it is in; 0: air.
+        Rank of the body of glass or liquid around it; 0: air.
     colour : int
         Number of the wavelength.
     """
@@ -99,14 +98,14 @@ class Line(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A part of a line along which the same media reach.
+    """Part of a line with the same media throughout.
 
     Attributes
     ----------
     begin, end, middle : float, mm
         Distances.
     active : int
-        Number of media.
+        Number of its media.
     only : int
         The last of them.
     """
@@ -120,9 +119,9 @@ class Step(NamedTuple):
 
 @inlined
 def _corner(row: Any, axis: int, p: float, middle: float) -> tuple[int, int, float]:
-    """Return the two voxels along an axis between whose centres a point lies, and the share of the second.
+    """Return the two voxels along an axis with a point between their centres, and the share of the second.
 
-    Which ones, the middle of the step decides, so that points at its ends do not slip into the next cell.
+    The step's middle decides the voxels, so that points at its ends do not slip into the next cell.
     """
     count = row.cells[axis]
     at = (p - row.origin[axis]) / row.spacing[axis]
@@ -148,11 +147,10 @@ def coefficients(
     ----------
     volumes : Volumes
     number : int
-        Of the medium.
+        Number of the medium.
     colour : int
-        Number of the wavelength.
     t, middle : float, mm
-        Distance, and that of the middle of the step through a cell.
+        Distance of the point, and of the middle of the step through the cell.
     ray : Ray
         In the medium's own frame.
     """
@@ -200,26 +198,26 @@ def _trilinear(values: Array, first: int, places: Any, u: float, v: float, w: fl
 def pass_through(
     volumes: Volumes, line: Line, reach: float, book: Array, weight: float, key: np.uint64
 ) -> Passage:  # fmt: skip
-    """Follow a line through all media of one body, or of air, and enter in the book what each absorbs.
+    """Follow a line through all media of one body, or of air, and enter their absorption in the book.
 
     Parameters
     ----------
     volumes : Volumes
     line : Line
     reach : float, mm
-        Its length; may be inf.
+        Length of the line; may be inf.
     book : (slots,) float64
     weight : float
         Of the packet, for the book; 0: nothing is entered.
     key : uint64
-        Of the random numbers by which a step is drawn in which light is scattered.
+        For the random numbers that draw the step with the scattering point.
     """
     rows, colour = volumes.rows, line.colour
     t, left, light, scattered = 0.0, 1.0, 0.0, 0.0
     begin, length, mean, before, own = 0.0, 0.0, 0.0, 0.0, 0.0
     scatters_from, scatters_to, densest = 0.0, 0.0, 0.0
     choice = uniform(key, STEP) if volumes.scatters else 0.0
-    # The ray in the frame of one of the media, mostly the only one, and where it is in it.
+    # The ray in the frame of one medium, mostly the only one, and its span in that medium.
     known, ray, first, last, holds = -1, line.ray, 0.0, 0.0, np.inf
     steps = 0
     while t < reach and left > 0.0:
@@ -254,7 +252,7 @@ def pass_through(
         pieces, piece, from_t, size = 1, 0, t, until - t
         while piece < pieces:
             step = size / pieces
-            # A step without an end is a single piece, and 0 · inf is no number.
+            # An infinite step is a single piece, and 0 · inf is NaN.
             a = from_t + piece * step if piece > 0 else from_t
             middle = 0.5 * (t + until) if until < np.inf else t
             low_t, high_t = (a + LOW * step, a + HIGH * step) if grids > 0 else (middle, middle)
@@ -290,7 +288,7 @@ def pass_through(
                     densest = max(densest, left * max(s1, s2))
                     scattered += share
                     chance = share / scattered
-                    # Reservoir sampling with a single random number, of which what is left is used again.
+                    # Reservoir sampling with a single random number; its remainder is used again.
                     if choice < chance:
                         choice /= chance
                         begin, length, mean, before, own = a, step, extinction, left, share
@@ -310,13 +308,13 @@ def pass_through(
 
 @inlined
 def _emitted(e1: float, e2: float, k1: float, k2: float, step: float, depth: float, stopped: float) -> float:
-    """Return the emission of a step that leaves it at its begin, from its coefficients at two points."""
+    """Return the emission of a step at its begin, from its coefficients at two points."""
     if depth < CLEAR_DEPTH:
         return 0.5 * (e1 + e2) * step
     if e1 == e2 and k1 == k2:
         return e1 / k1 * stopped
     tilt = (k2 - k1) / (HIGH - LOW) * step / 12.0
-    # As for constant coefficients in the mean, where the two points are short of the exact integral.
+    # Scaled so that constant mean coefficients give the exact integral, which the two points underestimate.
     exact = stopped / depth / (0.5 * (np.exp(-LOW * depth) + np.exp(-HIGH * depth)))
     return 0.5 * step * exact * (e1 * np.exp(tilt - LOW * depth) + e2 * np.exp(tilt - HIGH * depth))
 
@@ -325,7 +323,7 @@ def _emitted(e1: float, e2: float, k1: float, k2: float, step: float, depth: flo
 def _enter_absorbed(
     volumes: Volumes, line: Line, step: Step, book: Array, stopped: float, absorption: float, extinction: float
 ) -> None:  # fmt: skip
-    """Enter in the book what media absorb of the light that a step stops, each by its share in the step's middle."""
+    """Enter the absorption of a step in the book, divided among media by their coefficients in its middle."""
     rows = volumes.rows
     absorbed = stopped * max(absorption, 0.0) / extinction
     if step.active == 1:
@@ -347,7 +345,7 @@ def _enter_absorbed(
 
 @kernel
 def _absorbed_in(volumes: Volumes, line: Line, number: int, step: Step) -> tuple[bool, float]:
-    """Tell whether a medium reaches all along a step, and return its absorption in the middle, 1/mm."""
+    """Return whether a medium extends along a whole step, and its absorption in the middle, 1/mm."""
     row = volumes.rows[number]
     if row.inside != line.place:
         return False, 0.0

@@ -1,1 +1,1 @@
-"""Lights that a point asks: each draws a way to itself, with its density; combined with scattered rays."""
+"""Lights that a point asks. Each draws a ray to itself, with its density, and is combined with scattered rays."""

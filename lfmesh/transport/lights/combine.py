@@ -1,13 +1,13 @@
-"""Lights asked from points that scatter, and combined with scattered rays.
+"""Lights asked from points that scatter, combined with scattered rays.
 
-A point of a target or of a medium, seen from the sensor, finds light in two ways: it sends a shadow packet to each kind
-of light, and the ray that it scatters may meet the same light by chance. A light's `sample` draws a way to it, and its
-`density` tells with which density a direction is drawn. Where both ways can find a path, each counts its share of the
-densities of both (the balance heuristic, Veach & Guibas, SIGGRAPH 1995), so that it counts once. No scattered ray meets
-a lamp; paths through glass or through the lens are found by scattered rays alone, and keep their full weight.
+A point of a target or a medium, seen from the sensor, sends a shadow packet to each kind of light, and its scattered
+ray may meet the same light by chance. A light's `sample` draws a direction; its `density` gives the density of any
+direction. A path that both ways can find is weighted by the balance heuristic (Veach & Guibas, SIGGRAPH 1995), so it
+counts once. No scattered ray meets a lamp. Paths through glass or the lens are found by scattered rays alone and keep
+their full weight.
 
-Lamps are asked at once. For other lights the point waits at a station of its own: its kernel is compiled, and runs,
-only in scenes with targets or media that emit, or with lamps and media that scatter.
+Lamps are asked at once. For other lights the point waits at its own station, which is compiled only for scenes with
+targets or media that emit, or with lamps and media that scatter.
 """
 
 from typing import Any
@@ -57,36 +57,35 @@ from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.tables.tables import ObjectTables
 
 TOWARDS_MEDIA, TOWARDS_SCATTERED = 1 << 22, 1 << 23
-"""Numbers of the random numbers, among those that a packet's key has for its children, of ways to emitting media and
-past lamps."""
+"""Numbers of a packet key's children that give the random numbers of rays to emitting media and past lamps."""
 
 IN_MEDIUM = 1 << 21
-"""The same of a packet's way through media."""
+"""The same for a packet's path through media."""
 
 NEAR = 0.125
-"""Distance of a lamp from a line, over the length on which the line's light is scattered, below which it is near."""
+"""Distance of a lamp from a line, over the length on which the line scatters light, below which the lamp is near."""
 
 BY_LAMP = 10
-"""Dimension of the random number of a point that is drawn by the light of lamps on a line."""
+"""Dimension of the random number for a point drawn by the light of lamps on a line."""
 
 
 @inlined
 def share_of_scattered(packet: Any, asked: float) -> float:
-    """Return the share of a light on its ray that a packet counts.
+    """Return the packet's weight (balance heuristic) for a light on its ray.
 
     Parameters
     ----------
     packet : PACKET
         At the start of the ray.
     asked : float, 1/sr
-        Density with which the light draws the direction of the ray from there.
+        The light's density of this direction.
     """
     return packet.density / (packet.density + asked) if asked > 0.0 else 1.0
 
 
 @inlined
 def has_asked(packet: Any) -> bool:
-    """Tell whether the point that a packet comes from has asked lights too: else it comes from the camera, or glass.
+    """Tell whether the packet's start has asked lights too. False: it comes from the camera or glass.
 
     Parameters
     ----------
@@ -97,13 +96,13 @@ def has_asked(packet: Any) -> bool:
 
 @inlined
 def ask_lamps(space: ObjectSpace, packet: Any, point: Point) -> bool:
-    """Send shadow packets to the lamps that a point of a target asks; tell whether any of them can reach it.
+    """Send shadow packets from a point of a target to lamps; tell whether any was sent.
 
     Parameters
     ----------
     space : ObjectSpace
     packet : PACKET
-        It has met the target.
+        Has met the target.
     point : Point
     """
     objects = space.objects
@@ -128,23 +127,23 @@ def ask_lamps(space: ObjectSpace, packet: Any, point: Point) -> bool:
 def ask_lamps_on_line(
     space: ObjectSpace, packet: Any, weight: float, line: Line, passage: Passage, point: ScatteringPoint, key: np.uint64
 ) -> None:  # fmt: skip
-    """Send shadow packets to lamps from a random point of a packet's way through media.
+    """Send shadow packets to lamps from a random point of a packet's path through media.
 
-    The point is that which was drawn by what is scattered there. On a line past a near lamp, whose 1 / r² would be
-    unbounded there, a second one is drawn by the light that arrives, and each counts its share of the two densities.
+    The given point was drawn by the scattered light. On a line past a near lamp, where 1 / r² would be unbounded, a
+    second point is drawn by the arriving light, and each is weighted by its share of the densities.
 
     Parameters
     ----------
     space : ObjectSpace
     packet : PACKET
-        At the start of its way; its own weight is not used.
+        At the start of its path; its own weight is not used.
     weight : float
-        Of the packet at its start.
+        Weight of the packet at its start.
     line : Line
     passage : Passage
     point : ScatteringPoint
     key : uint64
-        Of the random numbers.
+        For the random numbers.
     """
     objects, colour, ray = space.objects, line.colour, line.ray
     lamps, first, last = objects.lamps, passage.first, passage.last
@@ -169,18 +168,16 @@ def ask_lamps_on_line(
 def _ask_lamps_in_medium(
     space: ObjectSpace, packet: Any, weight: float, medium: int, place: tuple[float, float, float]
 ) -> None:  # fmt: skip
-    """Send shadow packets to the lamps that a point of a medium asks.
+    """Send shadow packets from a point of a medium to lamps.
 
     Parameters
     ----------
     packet : PACKET
         On its way to the point.
     weight : float
-        That is scattered there.
+        Weight scattered there.
     medium : int
-        Number of the medium.
     place : (3,) float, mm
-        The point.
     """
     objects, volumes = space.objects, space.objects.volumes
     phase, asked = volumes.phases.rows[medium, packet.colour], space.flow.asked
@@ -202,17 +199,16 @@ def _ask_lamps_in_medium(
 def wait_for_lights(
     space: ObjectSpace, packet: Any, place: tuple[float, float, float], medium: int, key: np.uint64
 ) -> None:  # fmt: skip
-    """Let a packet wait at a point from which lights other than lamps are asked, if there are any.
+    """Let a packet wait at a point that asks lights other than lamps, if there are any.
 
     Parameters
     ----------
     space : ObjectSpace
     packet : PACKET
-        On its way to the point, with the weight that is scattered there and the point's facet, `IN_FOG` in a medium.
+        On its way to the point, with the weight scattered there and the point's facet, `IN_FOG` in a medium.
     place : (3,) float, mm
-        The point.
     medium : int
-        Number of the medium; −1: the point is on a target.
+        Number of the medium; −1 on a target.
     key : uint64
     """
     options, objects = space.options, space.objects
@@ -231,7 +227,7 @@ def _media_are_asked(volumes: Any, options: Options, packet: Any) -> bool:
     Parameters
     ----------
     volumes : Volumes or None
-        None: there are no media, and numba compiles nothing but the first line.
+        None without media; numba then compiles only the first line.
     """
     if volumes is None:
         return False
@@ -240,13 +236,13 @@ def _media_are_asked(volumes: Any, options: Options, packet: Any) -> bool:
 
 @kernel
 def ask_lights(wave: NDArray[np.void], space: ObjectSpace) -> None:
-    """Send packets from each point to emitting facets, to emitting media and past a lamp.
+    """Send shadow packets from points to emitting facets, to emitting media and past a lamp.
 
     Parameters
     ----------
     wave : (n,) PACKET
-        Packets at the points, with the directions in which they arrived, and the facets in `facet`: `IN_FOG` in a
-        medium, whose number is then in `in_medium`.
+        Packets at the points, with their directions of arrival and the points' facets. In a medium, `facet` is `IN_FOG`
+        and `in_medium` the number of the medium.
     space : ObjectSpace
     """
     for i in range(len(wave)):
@@ -272,7 +268,7 @@ def _ask_media(volumes: Any, space: ObjectSpace, packet: Any) -> None:
 
 @inlined
 def _ask(space: ObjectSpace, packet: Any, way: Way, key: np.uint64) -> None:
-    """Send a shadow packet from a point along a way to a light, with its share of what the light brings."""
+    """Send a shadow packet from a point to a light, weighted by the balance heuristic."""
     if way.density <= 0.0:
         return
     scattered, by_chance, clear = _scattered_along(space.objects.volumes, space, packet, way.ray)
@@ -283,15 +279,15 @@ def _ask(space: ObjectSpace, packet: Any, way: Way, key: np.uint64) -> None:
     if weight > 0.0:
         shadow = send(space.flow, packet, way, weight, key, clear)
         if way.light == PAST_LAMP:
-            # As of the packet that is scattered, whose line this might be.
+            # As for a scattered packet, which might take the same line.
             count_event(shadow)
 
 
 @inlined
 def _scattered_along(volumes: Any, space: ObjectSpace, packet: Any, ray: Ray) -> tuple[float, float, float]:
-    """Return what a point scatters along a ray, with its cosine, and the density of scattered packets, both 1/sr.
+    """Return a point's scattering along a ray, with its cosine, and the density of scattered packets, both 1/sr.
 
-    The density is that of those which roulette keeps: where hardly any are, their light would else be in single pixels.
+    The density includes the survival of roulette; otherwise the light of rare survivors would be in single pixels.
 
     Parameters
     ----------
@@ -302,9 +298,9 @@ def _scattered_along(volumes: Any, space: ObjectSpace, packet: Any, ray: Ray) ->
     Returns
     -------
     scattered, density : float
-        0 where it scatters nothing.
+        0 if the point scatters nothing that way.
     clear : float, mm
-        Distance at which a query that way begins.
+        Start of a query along the ray.
     """
     options, objects = space.options, space.objects
     x, y, z, ux, uy, uz = ray
@@ -331,29 +327,29 @@ def _scattered_along(volumes: Any, space: ObjectSpace, packet: Any, ray: Ray) ->
 
 @inlined
 def _kept(options: Options, packet: Any, weight: float) -> float:
-    """Return the chance with which roulette keeps a scattered packet of that weight."""
+    """Return the probability that roulette keeps a scattered packet of that weight."""
     floor = options.thinning.cutoff * packet.start
     return weight / floor if weight < floor else 1.0
 
 
 @inlined
 def bring_light(space: ObjectSpace, packet: Any, reach: float) -> None:
-    """Deposit what a light brings along the way of a shadow packet: of a lamp or a facet that is reached, all of it.
+    """Deposit the light along a shadow packet's path; a lamp or facet that is reached gives all of it.
 
     Parameters
     ----------
     space : ObjectSpace
     packet : PACKET
-        At the start of the way.
+        At the start of the path.
     reach : float, mm
-        Length of the way.
+        Length of the path.
     """
     objects = space.objects
     light = _along_media(objects.volumes, objects, space.flow, packet, reach)
     if packet.light == TO_FACET:
         light *= transmitted(objects.media.absorption, packet.medium, packet.colour, reach)
     else:
-        # Radiance over n² is conserved on the way into the camera; that of facets is divided already.
+        # Radiance over n² is conserved on the way into the camera; radiance of facets is divided already.
         index = objects.media.indices[packet.medium, packet.colour]
         light /= index * index
     if light > 0.0:
@@ -362,7 +358,7 @@ def bring_light(space: ObjectSpace, packet: Any, reach: float) -> None:
 
 @inlined
 def _along_media(volumes: Any, objects: ObjectTables, flow: Flow, packet: Any, reach: float) -> float:
-    """Return what a shadow packet brings through media, and from them; `volumes` : Volumes or None."""
+    """Return the light of a shadow packet through media, and from them; `volumes` : Volumes or None."""
     if volumes is None:
         return packet.weight
     line = Line(ray_of(packet), bodies_round(packet) & RANK, packet.colour)

@@ -1,7 +1,7 @@
-"""Radiant intensity of lamps, and directions that are drawn by it.
+"""Radiant intensity of lamps, and directions drawn by it.
 
-Only this module knows how a lamp spreads its light over its directions, the same way from each of its points:
-`intensity` has a branch for each law, and so has `drawn_by_intensity`, which must draw what that gives.
+Only this module knows the angular distributions of lamps, which are the same from each point of a lamp. `intensity` has
+a branch for each law, and so has `drawn_by_intensity`, which must draw accordingly.
 """
 
 from typing import Any
@@ -14,12 +14,12 @@ from lfmesh.optics.scattering import near
 from lfmesh.transport.tables.lights import CONE, EVEN, LAMBERT, SINE, Profiles
 
 MOST_STEPS = 64
-"""Of Newton's method, or of halving, after which an angle is known to its last digits."""
+"""Steps of Newton's method, or of bisection, that give an angle to its last digits."""
 
 
 @inlined
 def intensity(profiles: Profiles, light: Any, dx: float, dy: float, dz: float) -> float:
-    """Return the radiant intensity of a lamp, W/sr: of a lamp with a size, as if all of it were at one of its points.
+    """Return the radiant intensity of a lamp, W/sr, as if an extended lamp were concentrated in one of its points.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def intensity(profiles: Profiles, light: Any, dx: float, dy: float, dz: float) -
 
 @kernel
 def _profile_at(profiles: Profiles, light: Any, dx: float, dy: float, dz: float) -> float:
-    """Return the intensity of a profiled light over its power, 1/sr."""
+    """Return the intensity of a lamp with a profile over its power, 1/sr."""
     axis, across = light.direction, light.across
     x = across[0, 0] * dx + across[0, 1] * dy + across[0, 2] * dz
     y = across[1, 0] * dx + across[1, 1] * dy + across[1, 2] * dz
@@ -72,14 +72,14 @@ def _profile_at(profiles: Profiles, light: Any, dx: float, dy: float, dz: float)
 
 @kernel
 def drawn_by_intensity(profiles: Profiles, light: Any, u: float, v: float) -> tuple[float, float, float]:
-    """Return a random direction of a lamp's light, with a density of its intensity over its power.
+    """Draw a direction of a lamp's light with a density of intensity over power.
 
     Parameters
     ----------
     profiles : Profiles
     light : LIGHT
     u, v : float
-        Random numbers, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     axis, across = light.direction, light.across
     if light.emission == EVEN:
@@ -87,7 +87,7 @@ def drawn_by_intensity(profiles: Profiles, light: Any, u: float, v: float) -> tu
     if light.emission == LAMBERT:
         return near(axis[0], axis[1], axis[2], u / (1.0 + np.sqrt(1.0 - u)), 2.0 * np.pi * v)
     if light.emission == SINE:
-        # The cosine is a coordinate of a random point in a circle; where that lies on its chord tells the azimuth.
+        # The cosine is a coordinate of a random point in a circle; its place on the chord gives the azimuth.
         cosine, on_chord = np.sqrt(u) * np.cos(2.0 * np.pi * v), np.sqrt(u) * np.sin(2.0 * np.pi * v)
         half_chord = np.sqrt(1.0 - cosine * cosine)
         turn = on_chord / half_chord if half_chord > 0.0 else 0.0
@@ -105,7 +105,7 @@ def drawn_by_intensity(profiles: Profiles, light: Any, u: float, v: float) -> tu
     until = profiles.until[row[4] : row[4] + (row[1] - 1) * (row[3] - 1)]
     cell = drawn_by(until, u)
     below = until[cell - 1] if cell > 0 else 0.0
-    # What is left of the first number is a random number of its own.
+    # The remainder of the first number is a new random number.
     u = min((u - below) / (until[cell] - below), 1.0)
     j, i = cell // (row[1] - 1), cell % (row[1] - 1)
     low, high = vertical[i], vertical[i + 1]
@@ -127,7 +127,7 @@ def drawn_by_intensity(profiles: Profiles, light: Any, u: float, v: float) -> tu
 
 @kernel
 def _ring(low: float, high: float, a: float, b: float, theta: float) -> float:
-    """Return ∫ I sin θ dθ from `low` to `theta`, of an intensity I that is linear from a at `low` to b at `high`."""
+    """Return ∫ I sin θ dθ from `low` to `theta`, for an intensity I that is linear from a at `low` to b at `high`."""
     slope = (b - a) / (high - low)
     middle, half = 0.5 * (low + theta), 0.5 * (theta - low)
     # Cosines and sines of sums, so that differences of near numbers do not cancel.
@@ -138,7 +138,7 @@ def _ring(low: float, high: float, a: float, b: float, theta: float) -> float:
 
 @kernel
 def _angle_in_ring(low: float, high: float, a: float, b: float, u: float) -> float:
-    """Return the angle up to which a share u of a ring's light goes: Newton's method between bounds."""
+    """Return the angle below which a share u of a ring's light lies, by bracketed Newton's method."""
     wanted = u * _ring(low, high, a, b, high)
     slope = (b - a) / (high - low)
     left, right = low, high

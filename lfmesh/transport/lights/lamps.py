@@ -1,7 +1,7 @@
 """Lamps: their irradiance at a point.
 
-A lamp is a region or a direction that no ray meets: no scattered ray finds its light, and each lamp is asked from each
-point. `lights.intensity` alone tells how a lamp spreads its light, `lights.places` alone where its points are.
+A lamp is a region or a direction that no ray meets. No scattered ray finds its light, so points ask lamps.
+`lights.intensity` alone knows the angular distributions of lamps, `lights.places` alone the places of their points.
 """
 
 from typing import Any
@@ -19,14 +19,14 @@ from lfmesh.transport.tables.lights import MM2, Profiles
 from lfmesh.transport.tables.tables import ObjectTables
 
 LIGHT_DIMENSIONS = 1 << 12
-"""Distance between the dimensions of one light's random numbers and the next one's."""
+"""Distance between the dimensions of the random numbers of two successive lights."""
 
 
 @inlined
 def sample(
     options: Options, objects: ObjectTables, packet: Any, number: int, place: tuple[float, float, float], nearby: bool
 ) -> Way:  # fmt: skip
-    """Draw a way from a point to a lamp, with the irradiance at the packet's wavelength.
+    """Draw a ray from a point to a lamp, with the irradiance at the packet's wavelength.
 
     Parameters
     ----------
@@ -34,11 +34,11 @@ def sample(
     objects : ObjectTables
     packet : PACKET
     number : int
-        Of the lamp.
+        Number of the lamp.
     place : (3,) float, mm
         The point, object frame.
     nearby : bool
-        The point may be as near to the lamp as may be: it is in a medium.
+        The point is in a medium, so it may be arbitrarily close to the lamp.
     """
     light, (x, y, z) = objects.lamps.rows[number], place
     u, v = 0.0, 0.0
@@ -60,9 +60,9 @@ def illuminate(
     profiles : Profiles
     light : LIGHT
     place : (3,) float, mm
-        The point, object frame.
+        Object frame.
     u, v : float
-        Random numbers, uniform in [0, 1), of a light that has a size.
+        Uniform in [0, 1); used if the light has a size.
     nearby : bool
         As for `sample`.
 
@@ -73,7 +73,7 @@ def illuminate(
     reach : float
         Distance of the light, mm; inf for directional light.
     irradiance : float
-        On a plane perpendicular to the direction, at the wavelength that has the most, W/m².
+        On a plane perpendicular to the direction, at the strongest wavelength, W/m².
     """
     x, y, z = place
     if not light.placed:
@@ -87,17 +87,17 @@ def illuminate(
 def illuminate_from(
     profiles: Profiles, light: Any, place: tuple[float, float, float], x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:
-    """Return direction, distance and irradiance as `illuminate` does, from a given point of a light.
+    """Return the results of `illuminate` for a given point of a light.
 
     Parameters
     ----------
     profiles : Profiles
     light : LIGHT
-        It is somewhere: not directional.
+        Not directional.
     place : (3,) float, mm
         Point of the light, object frame.
     x, y, z : float, mm
-        The point that is lit, object frame.
+        The lit point, object frame.
     """
     lx, ly, lz = place
     ux, uy, uz = lx - x, ly - y, lz - z

@@ -1,13 +1,12 @@
 """Distances on a line by the light that lamps send there: equiangular sampling (Kulla & Fajardo, EGSR 2012).
 
-The irradiance of a point at distance h from a line falls along it as 1 / (h² + s²), so that distances of that density
-are those of even steps of the angle at which the point sees them. Of several lamps the densities add, each by its
-largest intensity. A lamp with a size is taken for a point as far off the line as its size adds to h. Near a lamp that
-is longer than thick the irradiance grows as one over the distance from its spine, the segment along its middle: within
-two sizes of it that is a density of its own. So the sum stays in a bounded proportion to what the lamp sends, and says
-where samples go, not what they count. None are drawn where a lamp that shines to one side sends nothing. Directional
-light is the same all along a line. Where lamps are many, those of a node of their tree that is far from the line count
-as one lamp of the node's size.
+The irradiance of a point at distance h from a line falls along it as 1 / (h² + s²); such distances correspond to even
+steps of the angle seen from the point. The densities of several lamps add, each weighted by its largest intensity. A
+lamp with a size is a point with its size added to h in quadrature. Near a lamp that is longer than thick, the
+irradiance grows as one over the distance from its spine, the segment along its middle; within two sizes of it that adds
+its own density. So the sum stays in a bounded ratio to the light of the lamp. It decides where samples go, not their
+weights. No distances are drawn behind a one-sided lamp. Directional light is constant along a line. In the tree of many
+lamps, a node far from the line counts as one lamp of its size.
 """
 
 from typing import Any
@@ -23,16 +22,16 @@ from lfmesh.transport.tables.lights import Lamps
 Array = NDArray[np.float64]
 
 NARROWEST = 2.0**-26
-"""Least distance of a lamp from a line, over that from the line's start: nearer ones are told apart by no rounding."""
+"""Least distance of a lamp from a line, over its distance from the line's start; rounding hides smaller ones."""
 
 AROUND = 2.0
-"""Distance from the middle of a lamp that is longer than thick, in its sizes, up to which its spine counts."""
+"""Distance from the middle of a lamp that is longer than thick, in its sizes, within which its spine counts."""
 
 ONE_SIDE = 2.0**-18
-"""By how much 1 − cos of a bound of the directions of lamps that shine to one side may be above 1."""
+"""Tolerance above 1 for 1 − cos of the bound of directions of one-sided lamps."""
 
 FAR = 2.0
-"""Distance of a node of lamps from a line, in its radii, above which they count as one."""
+"""Distance of a node of lamps from a line, in its radii, above which it counts as one lamp."""
 
 
 @kernel
@@ -47,9 +46,9 @@ def passes_lamp(lamps: Lamps, colour: int, line: Ray, first: float, last: float,
     line : Ray
         In the object frame.
     first, last : float, mm
-        Its part; the last may be inf.
+        Part of the line; the last may be inf.
     within : float, mm
-        Distance of the lamp that is near.
+        Distance below which a lamp is near.
     """
     number = 0
     while number < len(lamps.nodes):
@@ -73,7 +72,7 @@ def passes_lamp(lamps: Lamps, colour: int, line: Ray, first: float, last: float,
 
 @kernel
 def lamps_on_line(lamps: Lamps, colour: int, line: Ray, first: float, last: float) -> float:
-    """Return the integral of `density_by_angle` over a part of a line, W/(sr mm); 0: there is no lamp.
+    """Return the integral of `density_by_angle` over a part of a line, W/(sr mm); 0 without lamps.
 
     Parameters
     ----------
@@ -95,14 +94,14 @@ def lamps_on_line(lamps: Lamps, colour: int, line: Ray, first: float, last: floa
 
 @kernel
 def distance_by_angle(lamps: Lamps, colour: int, line: Ray, first: float, last: float, choice: float) -> float:
-    """Return a distance on a part of a line, drawn by `density_by_angle`.
+    """Draw a distance on a part of a line by `density_by_angle`.
 
     Parameters
     ----------
     lamps, colour, line, first, last
         As for `passes_lamp`.
     choice : float
-        Uniform below the integral.
+        Uniform between 0 and the integral.
     """
     t, number = first, _counted(lamps, 0, line)
     while number < len(lamps.nodes):
@@ -128,7 +127,7 @@ def distance_by_angle(lamps: Lamps, colour: int, line: Ray, first: float, last: 
 
 @kernel
 def density_by_angle(lamps: Lamps, colour: int, line: Ray, t: float) -> float:
-    """Return what all lamps send to a distance on a line, W/(sr mm²): the density of `distance_by_angle`, unnormalised.
+    """Return the unnormalised density of `distance_by_angle` at a distance on a line, W/(sr mm²).
 
     Parameters
     ----------
@@ -155,13 +154,13 @@ def density_by_angle(lamps: Lamps, colour: int, line: Ray, t: float) -> float:
 
 @inlined
 def lit_part(light: Any, line: Ray, first: float, last: float) -> tuple[float, float]:
-    """Return the part of a part of a line to which a lamp may shine: that in front of a lamp that shines to one side.
+    """Restrict a part of a line to the places that a lamp may light: for a one-sided lamp, in front of it.
 
     Parameters
     ----------
     light : LIGHT
     line, first, last
-        As for `passes_lamp`; the first is the larger one where nothing is lit.
+        As for `passes_lamp`. If nothing is lit, first > last is returned.
     """
     # A cone of more than half a turn sends light backwards too.
     if light.outer > 1.0:
@@ -173,7 +172,7 @@ def lit_part(light: Any, line: Ray, first: float, last: float) -> tuple[float, f
 def _part_in_front(
     axis: Array, place: Array, line: Ray, back: float, first: float, last: float
 ) -> tuple[float, float]:  # fmt: skip
-    """Return the part of a part of a line in front of a plane across an axis, some distance behind a place."""
+    """Restrict a part of a line to the front of a plane across an axis, at distance `back` behind a place."""
     ax, ay, az = axis[0], axis[1], axis[2]
     px, py, pz = line.x - place[0], line.y - place[1], line.z - place[2]
     height, rise = px * ax + py * ay + pz * az + back, line.dx * ax + line.dy * ay + line.dz * az
@@ -186,13 +185,13 @@ def _part_in_front(
 
 @inlined
 def _angle(s: float, h: float, first: float, last: float) -> float:
-    """Return the angle at which a point at distance s along a line and h from it sees a part of the line, rad."""
+    """Return the angle, rad, of a part of a line seen from a point at distance s along the line and h from it."""
     return np.arctan2(last - s, h) - np.arctan2(first - s, h)
 
 
 @inlined
 def _counted(lamps: Lamps, number: int, line: Ray) -> int:
-    """Return the next node from some number on that counts as one lamp: a lamp, or lamps that are far from a line."""
+    """Return the next node, from a number on, that counts as one lamp: a lamp, or lamps far from the line."""
     while number < len(lamps.nodes):
         node = lamps.nodes[number]
         if node.lamp >= 0 or not node.placed:
@@ -206,7 +205,7 @@ def _counted(lamps: Lamps, number: int, line: Ray) -> int:
 
 @inlined
 def _past(place: Array, line: Ray) -> tuple[float, float]:
-    """Return the distance on a line that is nearest to a place, mm, and its squared distance there."""
+    """Return the distance along a line of closest approach to a place, mm, and the squared distance there."""
     px, py, pz = place[0] - line.x, place[1] - line.y, place[2] - line.z
     s = px * line.dx + py * line.dy + pz * line.dz
     ex, ey, ez = px - s * line.dx, py - s * line.dy, pz - s * line.dz
@@ -215,7 +214,7 @@ def _past(place: Array, line: Ray) -> tuple[float, float]:
 
 @inlined
 def _seen(lamps: Lamps, number: int, colour: int, line: Ray) -> tuple[float, float, float]:
-    """Return a node's intensity, W/sr, the distance on a line that is nearest to it, and its distance there, mm."""
+    """Return a node's intensity, W/sr, the distance along a line of closest approach, and its distance there, mm."""
     node = lamps.nodes[number]
     if not node.placed:
         return 0.0, 0.0, 1.0
@@ -228,17 +227,17 @@ def _seen(lamps: Lamps, number: int, colour: int, line: Ray) -> tuple[float, flo
     px, py, pz = node.middle[0] - line.x, node.middle[1] - line.y, node.middle[2] - line.z
     least = NARROWEST * (abs(px) + abs(py) + abs(pz))
     h = max(np.sqrt(h2), least)
-    # A line that starts in a point lamp itself has no angles.
+    # A line that starts at a point lamp has no angles.
     return power if h > 0.0 else 0.0, s, h
 
 
 @inlined
 def _lit(lamps: Lamps, number: int, line: Ray, first: float, last: float) -> tuple[float, float]:
-    """Return the part of a part of a line to which the lamps of a node may shine."""
+    """Restrict a part of a line to the places that a node's lamps may light."""
     node = lamps.nodes[number]
     if node.lamp >= 0:
         return lit_part(lamps.rows[node.lamp], line, first, last)
-    # Bounds of directions are a little wider than half a turn where lamps shine to one side.
+    # For one-sided lamps, bounds of directions are a little wider than half a turn.
     if node.outer > 1.0 + ONE_SIDE:
         return first, last
     return _part_in_front(node.axis, node.middle, line, node.radius, first, last)
@@ -252,10 +251,10 @@ def _is_long(light: Any) -> bool:
 
 @kernel
 def _seen_from_spine(light: Any, line: Ray) -> tuple[float, float, float]:
-    """Return the distance on a line that is nearest to a lamp's spine, mm, a distance there, mm, and its growth.
+    """Return the distance along a line of closest approach to a lamp's spine, mm, a distance there, mm, and its growth.
 
-    With these three, s, h and k, the point at t on the line is at least √(h² + k² (t − s)²), less the lamp's thickness
-    in h, away from the spine.
+    With these three, s, h and k, the point at t on the line is at least √(h² + k² (t − s)²) away from the spine, with h
+    taken without the lamp's thickness.
     """
     px, py, pz = light.position[0] - line.x, light.position[1] - line.y, light.position[2] - line.z
     mx, my, mz = light.spine[0], light.spine[1], light.spine[2]
@@ -272,7 +271,7 @@ def _seen_from_spine(light: Any, line: Ray) -> tuple[float, float, float]:
 
 @inlined
 def _around(light: Any, line: Ray, first: float, last: float) -> tuple[float, float]:
-    """Return the part of a part of a line on which a lamp's spine counts; the first is the larger one if none is."""
+    """Restrict a part of a line to the range where a lamp's spine counts; if there is none, first > last."""
     px, py, pz = light.position[0] - line.x, light.position[1] - line.y, light.position[2] - line.z
     s = px * line.dx + py * line.dy + pz * line.dz
     px, py, pz = px - s * line.dx, py - s * line.dy, pz - s * line.dz
@@ -284,7 +283,7 @@ def _around(light: Any, line: Ray, first: float, last: float) -> tuple[float, fl
 
 @kernel
 def _by_spine(light: Any, line: Ray, first: float, last: float) -> float:
-    """Return the integral over a part of a line of one over the lamp's size and the distance from its spine, 1/mm."""
+    """Return the integral along a line of 1 / (size of the lamp · distance from its spine), 1/mm."""
     begin, end = _around(light, line, first, last)
     if begin >= end:
         return 0.0
@@ -294,7 +293,7 @@ def _by_spine(light: Any, line: Ray, first: float, last: float) -> float:
 
 @kernel
 def _distance_by_spine(light: Any, line: Ray, first: float, last: float, choice: float) -> float:
-    """Return a distance on a part of a line, drawn by one over the distance from a lamp's spine, by a random number."""
+    """Return a distance on a part of a line, drawn by one over the distance from a lamp's spine."""
     begin, end = _around(light, line, first, last)
     s, h, rise = _seen_from_spine(light, line)
     low, high = np.arcsinh(rise * (begin - s) / h), np.arcsinh(rise * (end - s) / h)

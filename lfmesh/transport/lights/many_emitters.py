@@ -1,11 +1,9 @@
-"""The leaf of the tree of emitting facets that a point asks: drawn on the way down, by the light that each part brings.
+"""Leaf of the tree of emitting facets that a point asks, drawn on the way down by the light that each part brings.
 
-At each node a point chooses between the two parts by the bounds of the irradiance that they bring: power, distance,
-horizon of the point and normals of the pieces count, shadows do not (Conty Estevez & Kulla, Importance sampling of many
-lights with adaptive tree splitting, HPG 2018). Where a node is so far away, and its pieces so alike, that the bounds
-are narrow, the rest of the way follows power alone, which is cheaper: so does all of the way to emitters far away.
-
-A chance is zero only where the bounds show that no light comes.
+At each node a point chooses between the two parts by bounds of their irradiance, from power, distance, the point's
+horizon and the pieces' normals, but not shadows (Conty Estevez & Kulla, Importance sampling of many lights with
+adaptive tree splitting, HPG 2018). If a node is far away and its pieces alike, the rest of the way follows power alone,
+which is cheaper. A chance is zero only if the bounds show that no light comes.
 """
 
 from typing import Any
@@ -19,23 +17,23 @@ from lfmesh.transport.packets.packet import IN_FOG
 from lfmesh.transport.tables.tables import Emitters, ObjectTables
 
 FAR = 2.5
-"""Distance of a node, over its radius, above which its pieces differ little in distance."""
+"""Distance of a node, in its radii, above which the distances of its pieces differ little."""
 
 ALIKE = 0.3
-"""Least cosine of angles at a node, or at the point, over the largest one, above which pieces differ little in it."""
+"""Least cosine of angles at a node, or at the point, over the largest one, above which pieces count as alike."""
 
 
 @inlined
 def lit_normal(objects: ObjectTables, packet: Any, arrives: bool) -> Place:
-    """Return the normal of the point that a packet comes to, or leaves, on the lit side; `NO_NORMAL` in a medium.
+    """Return the normal, on the lit side, at the point of a packet; `NO_NORMAL` in a medium.
 
     Parameters
     ----------
     objects : ObjectTables
     packet : PACKET
-        At the point, whose facet is in `facet`.
+        At the point, with its facet in `facet`.
     arrives : bool
-        Its direction is that in which it came; else that in which it leaves.
+        The packet has its direction of arrival; else of departure.
     """
     if packet.facet == IN_FOG:
         return NO_NORMAL
@@ -47,18 +45,18 @@ def lit_normal(objects: ObjectTables, packet: Any, arrives: bool) -> Place:
 
 @kernel
 def drawn_leaf(emitters: Emitters, place: Place, normal: Place, u: float) -> tuple[int, float, float]:
-    """Draw a leaf of the tree; return its node, its chance, and what is left of the random number; chance 0: no light.
+    """Draw a leaf of the tree; return its node, its chance (0: no light), and the remaining random number.
 
     Parameters
     ----------
     emitters : Emitters
-        There is a tree.
+        With a tree.
     place : (3,) float, mm
         The point, object frame.
     normal : (3,) float
-        Unit normal of the point on the side that is lit; `NO_NORMAL`: all sides are.
+        Unit normal on the lit side; `NO_NORMAL`: lit from all sides.
     u : float
-        Random number, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     nodes, number, chance = emitters.nodes, 0, 1.0
     light, alike = _brought(nodes[0], place, normal)
@@ -68,7 +66,7 @@ def drawn_leaf(emitters: Emitters, place: Place, normal: Place, u: float) -> tup
         share, alike_left, alike_right = _share(nodes, number, place, normal, alike)
         if share < 0.0:
             return number, 0.0, u
-        # What is left of the number is a random number of its own.
+        # The remainder of the number is a new random number.
         if u < share:
             number, u, chance, alike = number + 1, u / share, chance * share, alike_left
         else:
@@ -80,7 +78,7 @@ def drawn_leaf(emitters: Emitters, place: Place, normal: Place, u: float) -> tup
 
 @kernel
 def chance_of_leaf(emitters: Emitters, place: Place, normal: Place, piece: int) -> float:
-    """Return the chance with which `drawn_leaf` draws the leaf of a piece.
+    """Return the chance of the leaf of a piece in `drawn_leaf`.
 
     Parameters
     ----------
@@ -105,12 +103,12 @@ def chance_of_leaf(emitters: Emitters, place: Place, normal: Place, piece: int) 
 
 @inlined
 def _share(nodes: Any, number: int, place: Place, normal: Place, alike: bool) -> tuple[float, bool, bool]:
-    """Return the chance of the first part of a node, −1 if neither brings light, and whether pieces of each are alike.
+    """Return the chance of a node's first part, −1 if neither brings light, and whether the pieces of each are alike.
 
     Parameters
     ----------
     alike : bool
-        Those of the node itself are.
+        The pieces of the node itself are alike.
     """
     left, right = nodes[number + 1], nodes[nodes[number].right]
     one, other, alike_left, alike_right = left.power, right.power, True, True
@@ -124,7 +122,7 @@ def _share(nodes: Any, number: int, place: Place, normal: Place, alike: bool) ->
 
 @inlined
 def _brought(node: Any, place: Place, normal: Place) -> tuple[float, bool]:
-    """Return about what the pieces of a node bring to a point, and whether they are alike, as seen from there."""
+    """Estimate the light of a node's pieces at a point; tell whether they look alike."""
     vx, vy, vz = node.middle[0] - place[0], node.middle[1] - place[1], node.middle[2] - place[2]
     d2, r2 = vx * vx + vy * vy + vz * vz, node.radius * node.radius
     nearest2 = max(d2 - r2, 0.25 * r2)

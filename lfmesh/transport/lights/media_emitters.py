@@ -1,9 +1,8 @@
 """Emitting media: directions towards random points of them, and the density of those directions.
 
-A way to emitting media gathers all that is emitted along it, as a scattered ray does. Its direction is drawn with the
-density ∫ t² p dt, of the density p of points along it. As the whole line counts, not the point that gave the direction,
-neither small flames nor near ones make the variance large. Only media that share a body, or air, with the point are
-drawn; light that comes through glass is found by scattered rays alone.
+A ray to emitting media gathers all emission along it, as a scattered ray does. Its direction has the density ∫ t² p dt,
+with the density p of points along it. As the whole line counts, small or near flames do not increase the variance. Only
+media in the point's body, or in its air, are drawn; light through glass is found by scattered rays alone.
 """
 
 from typing import Any
@@ -27,7 +26,7 @@ Array = NDArray[np.float64]
 
 @kernel
 def sample(volumes: Volumes, options: Options, packet: Any, key: np.uint64) -> Way:
-    """Draw a way from the point where a packet is towards a random point of the emitting media in its body, or in air.
+    """Draw a ray from a packet's point towards a random point of the emitting media in its body, or in air.
 
     Parameters
     ----------
@@ -35,7 +34,7 @@ def sample(volumes: Volumes, options: Options, packet: Any, key: np.uint64) -> W
     options : Options
     packet : PACKET
     key : uint64
-        Of the random numbers.
+        For the random numbers.
     """
     place, ray, drawn = bodies_round(packet) & RANK, ray_of(packet), 0.0
     choice, u = draw_two(options, packet, EMITTER_U)
@@ -50,9 +49,9 @@ def sample(volumes: Volumes, options: Options, packet: Any, key: np.uint64) -> W
 
 @inlined
 def _light_drawn(volumes: Volumes, number: int, place: int, ray: Ray) -> float:
-    """Return what draws a medium at the start of a ray; 0: it is elsewhere, dark, or without bounds.
+    """Return the weight of a medium when drawn from the start of a ray; 0: elsewhere, dark, or unbounded.
 
-    It is about the light that the medium brings: its power over the squared distance of its parts.
+    Approximates the medium's light: power over the mean squared distance of its parts.
     """
     row, power = volumes.rows[number], volumes.powers[number]
     if row.inside != place or not 0.0 < power < np.inf:
@@ -68,7 +67,7 @@ def _light_drawn(volumes: Volumes, number: int, place: int, ray: Ray) -> float:
 def point_of_media(
     volumes: Volumes, place: int, ray: Ray, numbers: tuple[float, float, float, float]
 ) -> tuple[bool, float, float, float]:  # fmt: skip
-    """Return a random point of the emitting media in a body, or in air, object frame; False: there are none.
+    """Return a random point of the emitting media in a body, or in air, object frame; False: none.
 
     Parameters
     ----------
@@ -76,9 +75,9 @@ def point_of_media(
     place : int
         Rank of the body; 0: air.
     ray : Ray
-        It starts at the point that is lit; its direction is not used.
+        Starts at the lit point; its direction is not used.
     numbers : (4,) float
-        Random, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     choice, u, v, w = numbers
     whole = 0.0
@@ -90,7 +89,7 @@ def point_of_media(
     for number in range(len(volumes.rows)):
         light = _light_drawn(volumes, number, place, ray)
         if light > 0.0 and rest >= 0.0:
-            # What is left of the number is a random number of its own.
+            # The remainder of the number is a new random number.
             drawn, share = number, min(rest / light, 1.0)
         rest -= light
     x, y, z, _ = drawn_point(volumes, drawn, share, u, v, w)
@@ -99,7 +98,7 @@ def point_of_media(
 
 @kernel
 def density(volumes: Volumes, place: int, ray: Ray) -> float:
-    """Return the density, 1/sr, with which `point_of_media` lies in the direction of a ray from its start.
+    """Return the density, 1/sr, of a ray's direction among directions to `point_of_media`.
 
     Parameters
     ----------
@@ -126,7 +125,7 @@ def _cone(first: float, last: float) -> float:
 
 @kernel
 def _density_in(volumes: Volumes, number: int, ray: Ray) -> float:
-    """Return the density, 1/sr, with which `drawn_point` of a medium lies along a ray in its own frame."""
+    """Return the density, 1/sr, of a ray's direction, in a medium's own frame, among directions to `drawn_point`."""
     row = volumes.rows[number]
     first, last = 0.0, np.inf
     for axis in range(3):
@@ -163,7 +162,7 @@ def _density_in(volumes: Volumes, number: int, ray: Ray) -> float:
 
 @inlined
 def _at_voxel(row: Any, axis: int, o: float, d: float, t: float) -> tuple[int, float, int, float]:
-    """Return the voxel along an axis at a distance on a ray, where the ray leaves it, the step, and its length, mm."""
+    """Return the voxel along an axis at a distance on a ray, the distance at its end, the step, and its length, mm."""
     spacing = row.spacing[axis]
     voxel = min(max(int(np.floor((o + t * d - row.low[axis]) / spacing)), 0), row.cells[axis] - 1)
     if d == 0.0:
@@ -177,15 +176,15 @@ def _at_voxel(row: Any, axis: int, o: float, d: float, t: float) -> tuple[int, f
 def drawn_point(
     volumes: Volumes, number: int, choice: float, u: float, v: float, w: float
 ) -> tuple[float, float, float, float]:
-    """Return a random point of a medium, object frame, and its density, 1/mm³; 0: the point is outside its bounds.
+    """Return a random point of a medium's box, object frame, and its density, 1/mm³.
 
     Parameters
     ----------
     volumes : Volumes
     number : int
-        Of the medium.
+        Number of the medium.
     choice, u, v, w : float
-        Random numbers, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     row = volumes.rows[number]
     own = row.to_own

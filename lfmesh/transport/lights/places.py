@@ -1,8 +1,8 @@
-"""Points that lamps shine from: random ones, and ones that are drawn as another point sees the lamp.
+"""Random points of lamps, with or without regard to the point that sees the lamp.
 
 Only this module knows the shapes of lamps. A lamp's light at a point is its intensity over the squared distance, from a
-point of the lamp that is drawn by its length or area. Close by that is unbounded, so points of lines and rectangles are
-drawn by the angles at which they are seen, and those of other flat lamps in part by their solid angle.
+point of the lamp drawn by length or area. That is unbounded near the lamp, so points of lines and rectangles are drawn
+by apparent angles, and points of other flat lamps in part by solid angle.
 """
 
 from typing import Any
@@ -17,21 +17,21 @@ NEAR_SIZES = 2.0
 """Distance from a flat lamp, in its sizes, below which its points are drawn by solid angle too."""
 
 FAR_SIZES = 16.0
-"""Distance from a line or rectangle, in its sizes, above which its points look alike, and are drawn evenly."""
+"""Distance from a line or rectangle, in its sizes, above which its points are drawn evenly."""
 
 GRAIN = 2.0**-50
-"""Least distance from a lamp, over those of its middle and of the point that sees it: places have no more digits."""
+"""Least distance from a lamp, over its size plus the distance of its middle; rounding hides smaller ones."""
 
 
 @inlined
 def point_of_light(light: Any, u: float, v: float) -> tuple[float, float, float]:
-    """Return a random point of a light that is somewhere, mm, object frame: uniform by its length or area.
+    """Return a random point of a light with a position, mm, object frame, uniform over its length or area.
 
     Parameters
     ----------
     light : LIGHT
     u, v : float
-        Random numbers, uniform in [0, 1), of a light that has a size.
+        Uniform in [0, 1); used if the light has a size.
     """
     x, y, z = light.position[0], light.position[1], light.position[2]
     if light.size <= 0.0:
@@ -47,7 +47,7 @@ def point_of_light(light: Any, u: float, v: float) -> tuple[float, float, float]
 
 @inlined
 def _holds(light: Any, px: float, py: float, pz: float) -> bool:
-    """Tell whether a flat light holds a point of its plane, given from its middle, mm."""
+    """Tell whether a point of a flat light's plane, relative to its middle, mm, lies on the light."""
     return px * px + py * py + pz * pz <= light.half[0] * light.half[0]
 
 
@@ -55,7 +55,7 @@ def _holds(light: Any, px: float, py: float, pz: float) -> bool:
 def point_as_seen(
     light: Any, x: float, y: float, z: float, u: float, v: float, nearby: bool
 ) -> tuple[float, float, float, float]:
-    """Return a random point of a light that is somewhere, as another point sees it, and its share.
+    """Draw a point of a light with a position, as another point sees it; return it with its share.
 
     Parameters
     ----------
@@ -63,16 +63,16 @@ def point_as_seen(
     x, y, z : float, mm
         The point that sees it, object frame.
     u, v : float
-        Random numbers, uniform in [0, 1), of a light that has a size.
+        Uniform in [0, 1); used if the light has a size.
     nearby : bool
-        The point may be as near to the lamp as may be: it is in a medium.
+        The point is in a medium, so it may be arbitrarily close to the lamp.
 
     Returns
     -------
     px, py, pz : float, mm
         Point of the light, object frame.
     share : float
-        Density of points that are uniform by length or area over that with which this one was drawn; 0: none was.
+        Uniform density by length or area, over the density of this draw; 0: nothing drawn.
     """
     if light.size <= 0.0:
         return light.position[0], light.position[1], light.position[2], 1.0
@@ -91,17 +91,17 @@ def point_as_seen(
 def _point_by_solid_angle(
     light: Any, sx: float, sy: float, sz: float, u: float, v: float
 ) -> tuple[float, float, float, float]:
-    """Return a point of a near flat lamp as `point_as_seen` does, by area or with equal chance by solid angle.
+    """Return a point of a near flat lamp as `point_as_seen` does, by area or solid angle with equal chance.
 
-    Points of even area alone would leave cos θ / r², over that density, unbounded beside the lamp. So with equal chance
-    the direction towards the lamp's plane is drawn evenly, and the sum of both densities divides the light (balance
-    heuristic): what one point brings is then below 4π times the lamp's radiance.
+    Points uniform by area alone would leave cos θ / r² unbounded close to the lamp. So half of the draws choose a
+    uniform direction towards the lamp's plane, and the sum of both densities divides the light (balance heuristic). One
+    point then brings less than 4π times the lamp's radiance.
 
     Parameters
     ----------
     light : LIGHT
     sx, sy, sz : float, mm
-        The point that sees it, from its middle.
+        The point that sees it, relative to its middle.
     u, v : float
     """
     ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
@@ -132,12 +132,12 @@ def _point_by_solid_angle(
 def _point_by_angles(
     light: Any, sx: float, sy: float, sz: float, u: float, v: float
 ) -> tuple[float, float, float, float]:
-    """Return a point of a line or a rectangle as `point_as_seen` does, by even steps of angles.
+    """Return a point of a line or a rectangle as `point_as_seen` does, uniform in angles.
 
-    Of a rectangle a line along its first axis is drawn first, by even steps of the angle at which the foot of the point
-    on the plane across that axis sees the other one. On the line, steps are even in the sine of the angle from the
-    perpendicular. What a point brings is then bounded: from a line whose intensity follows the sine, it is always the
-    same; from a rectangle by Lambert's law, it is below 2π times the radiance.
+    In a rectangle, a line along its first axis is drawn, uniform in the angle along the second axis as seen from the
+    foot of the point on the plane across the first. On the line, the draw is uniform in the sine of the angle from the
+    perpendicular. The light of one point is then constant for a line with an intensity that follows the sine, and below
+    2π times the radiance for a Lambertian rectangle.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def _point_by_angles(
     h = max(np.sqrt(qx * qx + qy * qy + qz * qz), GRAIN * scale)
     begin, end = np.arctan2(-half - a, h), np.arctan2(half - a, h)
     angle = np.arctan2(2.0 * half * h, h * h + (a + half) * (a - half))
-    # sin(end) − sin(begin) without the digits that cancel where the lamp is far aside.
+    # sin(end) − sin(begin) without cancellation for a lamp far to the side.
     sines = 2.0 * np.cos(0.5 * (begin + end)) * np.sin(0.5 * angle)
     sine = min(max(np.sin(begin) + u * sines, -1.0), 1.0)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))

@@ -1,4 +1,4 @@
-"""Shadow packets: sent from a point to a light, with what the light brings if nothing is in between."""
+"""Shadow packets: sent from a point to a light, with the light that they bring if nothing is in between."""
 
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ from lfmesh.transport.packets.packet import NO_SURFACE, OBJECT_FRAME, OBJECTS, S
 
 
 class Way(NamedTuple):
-    """A way from a point to a light, as the `sample` of the light draws it.
+    """Ray from a point to a light, as the `sample` of the light draws it.
 
     Attributes
     ----------
@@ -21,11 +21,11 @@ class Way(NamedTuple):
     ray : Ray
         From the point, in the object frame.
     reach : float, mm
-        Distance of a lamp, or of a point of a facet; inf: the light is all along the ray.
+        Distance of a lamp, or of a point of a facet; inf for light all along the ray.
     value : float
         Irradiance of a lamp on a plane perpendicular to the ray, W/m²; of other lights 1.
     density : float, 1/sr
-        With which the direction is drawn; of a lamp, whose irradiance holds it, 1; 0: nothing is drawn.
+        Density of the direction; 1 for a lamp, because its irradiance includes it; 0: nothing drawn.
     """
 
     light: int
@@ -38,19 +38,19 @@ class Way(NamedTuple):
 
 @pasted
 def send(flow: Flow, packet: Any, way: Way, weight: float, key: np.uint64, query_from: float) -> Any:
-    """Queue a shadow packet and return its record; its facet, medium and events are those of `packet`.
+    """Queue a shadow packet and return its record; it inherits facet, medium and events from `packet`.
 
     Parameters
     ----------
     flow : Flow
     packet : PACKET
-        It asks the light.
+        Asks the light.
     way : Way
     weight : float
-        Brought to the pixel if the light is reached, W; where the way gathers the light, its factor, m² sr.
+        Light for the pixel if the lamp or facet is reached, W; for rays that gather light, its factor, m² sr.
     key : uint64
     query_from : float, mm
-        Distance along the way at which Embree starts to look.
+        Start of Embree's search along the ray.
     """
     ray = way.ray
     shadow = put(

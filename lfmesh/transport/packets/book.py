@@ -1,8 +1,8 @@
-"""The book, in which kernels enter the energy of packets: its slots, each with a name and an account in the ledger.
+"""The book, where kernels enter energy: its slots, each with a name and an account in the ledger.
 
-A new slot that every scene has is one line here and one line in the kernel that makes entries in it; the ledger, the
-names of the bodies that packets end on and the size of the book follow from the list. The slots of a scene's own bodies
-come after the fixed ones, see `Book.of_bodies`.
+A new slot for all scenes is one line here and one line in the kernel that makes entries in it. The ledger, the names of
+bodies in paths and the size of the book follow from the list. The slots of a scene's own bodies come after the fixed
+ones, see `Book.of_bodies`.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lfmesh.transport.packets.ledger import Ledger
 
 LOST_PREFIX = "lost in "
-"""Prefix to the name of a body in which a packet was lost."""
+"""Prefix of the name of a body in which a packet was lost."""
 
 ABSORBED, LOST, LOST_IN = "absorbed", "lost", "lost_in"
 """Accounts of the ledger that list their slots by name; every other account is a single number."""
@@ -24,7 +24,7 @@ Slots = NDArray[np.int64]
 
 
 class Slot(NamedTuple):
-    """A place where energy is entered.
+    """Entry of the book.
 
     Attributes
     ----------
@@ -89,15 +89,15 @@ class Book:
     ----------
     slots : tuple of Slot
     edges, targets : (n,) int64
-        Slot numbers of the lens elements' edges, and of the targets.
+        Slots of the lens elements' edges, and of the targets.
     lost_in_targets, lost_in_spaces : (n,) int64
-        Slot numbers of energy lost in each target, and in each space of the lens.
+        Slots of energy lost in each target, and in each space of the lens.
     coatings : dict of str to int
-        Slot numbers of the coatings, by name.
+        Slots of the coatings, by name.
     media : (n,) int64
-        Slot numbers of what media absorb.
+        Slots of absorption in media.
     absorbers : (n,) int64
-        Slot numbers of what glasses and liquids absorb.
+        Slots of absorption in glasses and liquids.
     """
 
     slots: tuple[Slot, ...]
@@ -119,11 +119,11 @@ class Book:
         Parameters
         ----------
         elements : int
-            Pieces of glass in the lens.
+            Number of lens elements.
         targets, spaces : list of str
-            Names of the targets, and of the spaces between the surfaces of the lens.
+            Names of the targets, and of the spaces of the lens.
         coatings, media, absorbers : sequence of str
-            Names of the coatings, of media in object space, and of the bodies inside which glasses absorb.
+            Names of coatings, of media in object space, and of bodies of absorbing glass or liquid.
         """
         slots = list(FIXED)
         numbers = []
@@ -161,7 +161,7 @@ class Book:
         unit : str
             Unit of the entries, see `Ledger`.
         **work : int
-            Counts of packets, events and queries, by the names of the ledger's fields.
+            Counts of packets, events and queries, by field of the ledger.
         """
         listed: dict[str, dict[str, float]] = {ABSORBED: {}, LOST: {}, LOST_IN: {}}
         numbers: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""The energy ledger: where all energy of a run (in the adjoint method all importance) ended."""
+"""The energy ledger: the fate of all energy of a run (in the adjoint method, of all importance)."""
 
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -20,7 +20,7 @@ def loss_in_words(lost: float, lost_in: dict[str, float], emitted: float) -> str
     lost : float
         Lost energy, in the unit of `emitted`.
     lost_in : dict of str to float
-        The same energy by the body in which it was lost; the message names the largest shares first.
+        The same energy by body.
     emitted : float
     """
     if not lost > LOST_LIMIT * emitted:
@@ -37,38 +37,37 @@ def loss_in_words(lost: float, lost_in: dict[str, float], emitted: float) -> str
 class Ledger(Shown):
     """Sums over all packets of a run.
 
-    `unit` is "W" in the forward method; in the adjoint one the packets carry importance, W per unit radiance
-    (m² sr), and the ledger accounts for that instead.
+    `unit` is "W" in the forward method; the adjoint method accounts for importance, W per unit radiance (m² sr).
 
-    The parts close: emitted + roulette_added + sampling_added
-    = sensor + sum(absorbed) + escaped + roulette_removed + sampling_removed + depth + sum(lost), to rounding.
+    The parts balance to rounding: emitted + roulette_added + sampling_added = sensor + sum(absorbed) + escaped +
+    roulette_removed + sampling_removed + depth + sum(lost).
     """
 
     unit: str = "W"
-    """Of all energies."""
+    """Unit of all energies."""
     emitted: float = 0.0
-    """Of the packets when they start."""
+    """Energy of the packets when they start."""
     sensor: float = 0.0
-    """Of packets that ended on the sensor."""
+    """Energy of packets that ended on the sensor."""
     absorbed: dict[str, float] = field(default_factory=dict)
-    """By body: "stop", "lens[0] edge", "mount", "mla edge", "housing", "targets[0]", ..."""
+    """Absorbed energy by body: "stop", "lens[0] edge", "mount", "mla edge", "housing", "targets[0]", ..."""
     escaped: float = 0.0
-    """Gone to where nothing is."""
+    """Energy of packets that left the scene."""
     roulette_added: float = 0.0
     """Added to packets that survived Russian roulette."""
     roulette_removed: float = 0.0
-    """Of packets that it ended."""
+    """Energy of packets that Russian roulette ended."""
     sampling_added: float = 0.0
     """Added by aimed sampling: at a scattering event, the weight of the child that is aimed at the pupil."""
     sampling_removed: float = 0.0
     """Removed by aimed sampling: scattered packets that reach the lens without being aimed, which would count twice."""
     depth: float = 0.0
-    """Cut by `max_events`."""
+    """Energy of packets cut by `max_events`."""
     lost: dict[str, float] = field(default_factory=dict)
-    """By reason: "miss", a ray that met nothing inside a closed space; "contradiction", a ray that met only facets that
-    cannot bound the space it is in; "stuck", a packet that went on and on without an event."""
+    """Lost energy by reason. "miss": a ray that met nothing inside a closed space. "contradiction": a ray that met only
+    facets that cannot bound its space. "stuck": a packet that moved on and on without an event."""
     lost_in: dict[str, float] = field(default_factory=dict)
-    """The same energy by the body in which it was lost: "targets[1]", "lens[0]", "mla", ..."""
+    """The same energy by body: "targets[1]", "lens[0]", "mla", ..."""
     packets: int = 0
     """Packets started."""
     events: int = 0
@@ -76,19 +75,19 @@ class Ledger(Shown):
     fallbacks: int = 0
     """Surface level `patch`: hits on a flat facet because its curved patch was not met."""
     requeries: int = 0
-    """Hits that the float64 test refused and that were queried again."""
+    """Hits that the float64 test refused, each followed by another query."""
     reached_target: float = 0.0
     """Adjoint: importance that arrived at a target (before it is absorbed or scattered there)."""
     lit: float = 0.0
     """Adjoint: the part of `reached_target` at points that a light reaches or that emit."""
     untraced: float = 0.0
-    """On the sensor without being traced, W: of particles, by their point spreads. It is no part of the sums."""
+    """Light of particles on the sensor from their point spreads, without tracing, W. Not part of the sums."""
     lamps: "Ledger | None" = None
-    """Ledger of the packets of particles, of those that lamps send to a rough camera and, adjoint, towards glass, in W;
-    a lamp that sends both counts twice in `emitted`. None without."""
+    """Ledger of packets from particles, from lamps towards a rough camera and, in the adjoint method, towards glass, in
+    W. A lamp that sends both kinds counts twice in `emitted`. None without such packets."""
 
     def __repr__(self) -> str:
-        # Where only particles shine, all light is theirs.
+        # If only particles shine, all light is theirs.
         parts = [part for part in (self, self.lamps) if part is not None and part.emitted > 0.0] or [self]
         return f"<Ledger: {'; '.join(part._in_words() for part in parts)}>"
 
@@ -118,12 +117,12 @@ class Ledger(Shown):
 
     @property
     def imbalance(self) -> float:
-        """(in − out) / emitted: zero to rounding, unless the tracer has an error."""
+        """(in − out) / emitted: zero to rounding unless the tracer has an error."""
         return (self.total_in - self.total_out) / self.emitted if self.emitted else 0.0
 
     @property
     def lost_share(self) -> float:
-        """Lost energy as a share of the emitted."""
+        """Lost energy over emitted energy."""
         return sum(self.lost.values()) / self.emitted if self.emitted else 0.0
 
     def loss_in_words(self) -> str | None:
@@ -137,12 +136,12 @@ class Ledger(Shown):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "Ledger":
-        """Return the ledger that `as_dict` was made from; fields that an older report lacks keep their defaults.
+        """Return the ledger from the output of `as_dict`; fields missing in older reports keep their defaults.
 
         Parameters
         ----------
         values : dict
-            From `as_dict`, or the ledger in a run's report.
+            From `as_dict`, or a run's report.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Packets, the stacks they wait in, and all that kernels write: the state of one chunk.
+"""Packets, their stacks, and everything that kernels write: the state of one chunk.
 
 A packet is one record of two cache lines.
 """
@@ -13,28 +13,28 @@ from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, pasted
 from lfmesh.transport.packets.random import derived
 
-# Stations: what a packet waits for. Embree is asked at OBJECTS, at those with MESH in their name, and in a run that
-# finds no surface by its order at LENS, CELLS and BACK_CELLS too.
+# Stations, named for what a packet waits for. Embree is asked at OBJECTS, at stations with MESH in their name and, if a
+# run does not use the order of the surfaces, at LENS, CELLS and BACK_CELLS.
 LENS = 0  # a surface of the main lens
 CELLS = 1  # the curved face of the array, in its cell
 OBJECTS = 2  # a target, or the way into the lens
 PLATE = 3  # the array from outside its layers of curved faces: entry, or the flat face
 SENSOR = 4  # a pixel
-LENS_MESH = 5  # a surface of the main lens, by its mesh where the order of the surfaces does not decide
+LENS_MESH = 5  # a surface of the main lens, by its mesh if the order of the surfaces does not decide
 LIGHTS = 6  # a point of a target or a medium from which lights other than lamps are asked
-CELLS_MESH = 7  # the curved face in its cell, by its mesh where distances do not decide
-BACK_CELLS = 8  # the lenslets of the array's other face, where it has two curved ones, in their cell
+CELLS_MESH = 7  # the curved face in its cell, by its mesh if distances do not decide
+BACK_CELLS = 8  # the lenslets of the array's other face, if it has two curved ones, in their cell
 BACK_CELLS_MESH = 9  # the same by the mesh
-STUCK = 10  # its end, as it has moved `MOST_MOVES` times without an event
+STUCK = 10  # its end, after `MOST_MOVES` moves without an event
 STATIONS = 11
 
 MOST_MOVES = 4_096
-"""Moves from station to station without an event after which a packet is lost. No straight way takes as many: one along
-the layer of lenslets crosses a cell in each move, others need some ten."""
+"""Moves from station to station without an event after which a packet is lost. No straight path takes as many: along
+the layer of lenslets a packet crosses one cell per move, elsewhere some ten moves suffice."""
 
 # Frames. A packet says in which frame its ray is given; its station moves it into the station's own.
 CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3, 4
-BACK_FRAME = 5  # of the lenslets on the array's other face
+BACK_FRAME = 5  # frame of the lenslets on the array's other face
 FRAMES = 6
 
 # Kinds of packet.
@@ -42,13 +42,13 @@ CAMERA = 0  # on the camera's path: leaves the sensor (adjoint), or was aimed at
 LAMP = 1  # straight from a light
 SCATTERED = 2  # left a target in a random direction
 SPECULAR = 3  # refracted or reflected by glass in object space; may reach the lens without having been aimed
-SHADOW = 4  # asks a light from a point: the light that it brings counts, and nothing comes of it
+SHADOW = 4  # asks a light from a point; the light that it brings counts, and it has no children
 
 # Lights that shadow packets ask: their `light`.
 TO_LAMP = 0  # carries what a lamp adds to the pixel if nothing is in between
-TO_FACET = 1  # the same of an emitting facet
-TO_MEDIA = 2  # gathers what media emit along its ray
-PAST_LAMP = 3  # gathers what media scatter of a lamp's light along its ray
+TO_FACET = 1  # the same for an emitting facet
+TO_MEDIA = 2  # gathers the emission of media along its ray
+PAST_LAMP = 3  # gathers a lamp's light that media scatter along its ray
 
 # Counters.
 EVENTS, REQUERIES, FALLBACKS = 0, 1, 2
@@ -72,10 +72,10 @@ class Status(IntEnum):
 
 
 class Event(IntEnum):
-    """Event at a recorded vertex of a path: its start, an interface, or its end.
+    """Event at a recorded vertex of a path.
 
-    SENSOR, ABSORBED, ESCAPED and TARGET end a path as the `Status` of the same name does; DEPTH ends it after the most
-    events allowed, LOST where numbers failed.
+    SENSOR, ABSORBED, ESCAPED and TARGET end a path like the `Status` of the same name, DEPTH after the largest number
+    of events allowed, LOST after a numerical failure.
     """
 
     START = 0
@@ -106,11 +106,11 @@ LAST_EVENT = {
     Status.LOST: Event.LOST,
     Status.ROULETTE: Event.ABSORBED,
 }
-"""Event that is recorded where a packet ends."""
+"""Event recorded at the end of a packet, by its status."""
 EVENT_OF_STATUS = np.array([LAST_EVENT[status] for status in Status], dtype=np.int64)
 
 # Numbers in a recorded vertex's `surface`: below FACES_AT a refracting surface of the lens, then one of FACES;
-# ENDS_AT + slot: where a packet ended.
+# ENDS_AT + slot: the body that a packet ended on.
 FACES_AT, ENDS_AT = 1000, 2000
 FACES = (
     "mla curved face", "mla flat face", "target", "glass", "cover front face", "cover rear face", "mla back face",
@@ -118,15 +118,15 @@ FACES = (
 CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS, COVER_FRONT, COVER_REAR, BACK_FACE = range(FACES_AT, FACES_AT + len(FACES))
 
 NO_SURFACE = -1
-"""In place of the number of a surface, facet, cell or vertex."""
+"""Placeholder for the number of a surface, facet, cell or vertex."""
 
 LEFT_LENS, LEFT_FACE = -2, -3
-"""`last` of a packet in object space that left the lens: it cannot meet the lens again on a straight line; and of one
-that left a curved face of the array and has not left the layer of faces."""
+"""`last` of a packet in object space that left the lens, which it cannot meet again on a straight line; and of one that
+left a curved face of the array and has not left the layer of faces."""
 
 LEFT_MEDIUM, IN_FOG = -4, -5
-"""`facet` of a packet that a medium scattered or emitted: in the forward method, where it has an aimed twin or is one;
-in the adjoint method."""
+"""`facet` of a packet that a medium scattered or emitted: in the forward method, if it has an aimed twin or is one; in
+the adjoint method."""
 
 _BASE_RECORD = np.dtype(
     [
@@ -134,18 +134,18 @@ _BASE_RECORD = np.dtype(
         ("dx", "f8"), ("dy", "f8"), ("dz", "f8"),
         ("weight", "f8"),  # W (forward) or m² sr (adjoint)
         ("start", "f8"),  # weight that the weight window is relative to
-        ("query_from", "f8"),  # distance along the ray at which Embree starts to look
+        ("query_from", "f8"),  # start of Embree's search along the ray
         ("limit", "f8"),  # SHADOW: distance of the light, or inf; else the first query_from, for a query from the start
         ("key", "u8"),
-        ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) that it began as
+        ("source", "i8"),  # its initial sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace)
         ("node", "i4"),  # its last recorded vertex
         ("column", "i4"), ("row", "i4"),  # cell of the array; elsewhere see SHARED
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left
         ("colour", "i2"),  # number of the wavelength
         ("space", "i2"),  # space between two surfaces it travels in; for object space see `events.bodies`
-        # What an event writes stands between fields that `put` does not copy: the compiler copies neighbours at once,
-        # and the processor waits for a number that is read as part of a longer one just after it was written.
+        # Fields that an event writes stand between fields not copied by `put`: the compiler copies neighbours at once,
+        # and the processor stalls if a number is read as part of a longer one just after it was written.
         # Queries of this ray whose result was refused; negative: it slipped between facets, and its query's origin is
         # shifted.
         ("tries", "i1"),
@@ -161,17 +161,17 @@ _BASE_RECORD = np.dtype(
 
 
 SHARED = {
-    "density": ("row", "f4"),  # 1/sr, with which the target that a packet left draws its direction
-    "light": ("path", "i1"),  # SHADOW: which light it asks; the class of its path is decided
+    "density": ("row", "f4"),  # density, 1/sr, of its direction when drawn by the target that it left
+    "light": ("path", "i1"),  # SHADOW: the kind of light it asks; the class of its path is decided
     "goal": ("row", "i4"),  # SHADOW: number of the facet or lamp
     "in_medium": ("row", "i4"),  # at LIGHTS, of a point in a medium: the medium
     "bodies": ("column", "i4"),  # in object space: ranks of the bodies round it, see `events.bodies`
 }
-"""Fields of packets in object space, which are in no cell of the array: whose memory each shares, and its type."""
+"""Fields of packets in object space, which are in no cell: the field that shares its memory, and the type."""
 
 
 def _with_shared(record: np.dtype[np.void], shared: dict[str, tuple[str, str]]) -> np.dtype[np.void]:
-    """Return a record type with more fields, each of which shares the memory of another."""
+    """Return a record type with additional fields that share the memory of existing ones."""
     own = dict(record.fields or {})
     fields = own | {name: (np.dtype(form), own[place][1]) for name, (place, form) in shared.items()}
     return np.dtype(
@@ -185,10 +185,9 @@ def _with_shared(record: np.dtype[np.void], shared: dict[str, tuple[str, str]]) 
 
 
 def _with_vectors(record: np.dtype[np.void], *vectors: tuple[str, tuple[int, ...]]) -> np.dtype[np.void]:
-    """Return a record type with float64 vectors before its fields, given by their names and shapes.
+    """Return a record type with float64 vectors, given by names and shapes, before its fields.
 
-    Not behind them: for numba the longer record would be a kind of the shorter one, and kernels that were compiled for
-    that would take it.
+    They must come first: otherwise numba would run kernels compiled for the shorter record on the longer one.
     """
     own, size = {}, 0
     for name, shape in vectors:
@@ -206,11 +205,11 @@ def _with_vectors(record: np.dtype[np.void], *vectors: tuple[str, tuple[int, ...
 
 
 PACKET = _with_shared(_BASE_RECORD, SHARED)
-"""The packet's record."""
+"""Record of a packet."""
 
 _STATE = (
-    ("stokes", (3,)),  # Q, U and V over I; in the adjoint method of the light's course turned round
-    ("reference", (3,)),  # unit, square to the direction, world frame; any direction where the state is unpolarised
+    ("stokes", (3,)),  # Q, U and V over I; in the adjoint method, for light in the reverse direction
+    ("reference", (3,)),  # unit, perpendicular to the direction, world frame; arbitrary for an unpolarised state
 )
 """State of polarisation, see `optics.polarisation` for its conventions."""
 
@@ -219,15 +218,15 @@ _CHILDREN = (
     ("reflected", (3,)),  # `stokes` of each
     ("refracted", (3,)),
 )
-"""States of the children at the interface that a packet is being divided at."""
+"""States of the children at the interface that is dividing a packet."""
 
 POLARISED = _with_vectors(PACKET, *_STATE, *_CHILDREN)
-"""The record of a packet in a scene with polarised light."""
+"""Record of a packet in a scene with polarised light."""
 
 SAMPLE_SHIFT = 40
 PIXEL_MASK = (1 << SAMPLE_SHIFT) - 1
 """`source` of a packet that began at a pixel: the pixel in the lower bits, above them the number of its sample in the
-chunk. By that number a sample that brings light along several paths is counted once."""
+chunk. The number ensures that a sample that brings light along several paths is counted once."""
 
 DEPOSIT = np.dtype([("pixel", "i8"), ("colour", "i8"), ("weight", "f8")])
 
@@ -246,7 +245,7 @@ END = np.dtype(
 )
 
 POLARISED_END = _with_vectors(END, *_STATE)
-"""The end of a packet in a scene with polarised light."""
+"""Record of the end of a packet in a scene with polarised light."""
 
 NODE = np.dtype(
     [
@@ -266,33 +265,33 @@ class Flow(NamedTuple):
     """Tables that the kernels of one chunk write to."""
 
     stacks: NDArray[np.void]  # (capacity of all,) PACKET
-    begins: NDArray[np.int64]  # (stations or more,) where the stack of each station begins
+    begins: NDArray[np.int64]  # (stations or more,) start of each station's stack
     tops: NDArray[np.int64]
     book: NDArray[np.float64]
     counts: NDArray[np.int64]
     film: NDArray[np.float64]  # (sources of the chunk, wavelengths): light that adjoint paths gather, W
     hits: NDArray[np.uint32]  # (as `film`): number of samples that gathered light
     counted: NDArray[np.uint8]  # (samples of the chunk,): 1 for samples counted in `hits`
-    deposits: NDArray[np.void]  # forward: what fell on which pixel
-    ended: NDArray[np.void]  # tracing or recording: how every packet ended
+    deposits: NDArray[np.void]  # forward: power deposited on pixels
+    ended: NDArray[np.void]  # tracing or recording: the end of every packet
     nodes: NDArray[np.void]  # recording: every vertex
-    # PolarisationTables where packets are POLARISED, else None: code for the other case is not even compiled.
+    # PolarisationTables if packets are POLARISED, else None: code for the other case is not even compiled.
     polarised: Any = None
-    asked: Any = None  # working memory, see `lights.many_lamps.ASKED`; None where no kernel asks lamps
+    asked: Any = None  # working memory, see `lights.many_lamps.ASKED`; None if no kernel asks lamps
 
 
 # Thinning.split
 BOTH, ROULETTE, TRANSMIT = 0, 1, 2
 
-# Options.faces: by which surfaces of lens and array are found.
-BY_MESH = 0  # their meshes
-BY_ORDER_OR_MESH = 1  # their order where that decides, else their meshes
-BY_ORDER = 2  # their order, along the image path
+# Options.faces: method to find surfaces of lens and array.
+BY_MESH = 0  # by their meshes
+BY_ORDER_OR_MESH = 1  # by their order if that decides, else by their meshes
+BY_ORDER = 2  # by their order, along the image path
 
 
 @by_address
 class Thinning(NamedTuple):
-    """Division of packets at interfaces, and the ends of weak ones."""
+    """Division of packets at interfaces, and the cutoff of weak ones."""
 
     split: int
     cutoff: float
@@ -301,43 +300,43 @@ class Thinning(NamedTuple):
 
 @by_address
 class PixelSamples(NamedTuple):
-    """Samples of pixels that a chunk of the adjoint method starts, and the part of the film that they add light to."""
+    """Samples of pixels in a chunk of the adjoint method, and their part of the film."""
 
     first_source: int = 0  # pixel in row 0 of the film
     channel: int = 0  # column of the film
-    samples: int = 0  # of a pixel, by whose number its light is divided
-    each: int = 0  # of a pixel, whose events share Sobol' sets; 0: random numbers
+    samples: int = 0  # number of samples of a pixel, which divides its light
+    each: int = 0  # samples of a pixel whose events share Sobol' sets; 0: random numbers
     stream: np.uint64 = np.uint64(0)  # key of the random numbers of the group of replicates at this wavelength
     first: int = 0  # number of the pixel's first sample among those of the group
-    step: int = 1  # from one sample to the next there
+    step: int = 1  # from one sample of the pixel to the next in the group
 
 
 @by_address
 class Options(NamedTuple):
-    """Transport settings as kernels take them."""
+    """Transport settings in the form that kernels take."""
 
     surface: int
     faces: int
     thinning: Thinning
     max_events: int
     adjoint: bool
-    tracing: bool  # keep how every packet ends, and end packets at targets
-    record: bool  # keep every vertex, and how every packet ends
+    tracing: bool  # keep the end of every packet, and end packets at targets
+    record: bool  # keep every vertex, and the end of every packet
     bounce: bool  # light may go from target to target
     aimed: bool  # scattered light is aimed at the lens; else it meets the lens by chance
     paths: int  # class of paths that are estimated, see `paths.automaton`
-    importance: bool  # weights are importance, which thin lenses change, and not power
+    importance: bool  # weights are importance, which thin lenses change, not power
     pixels: PixelSamples = PixelSamples()
 
 
 @inlined
 def sample_of(pixels: PixelSamples, packet: Any) -> tuple[np.uint64, int]:
-    """Return the key of the random numbers of the pixel that a packet comes from, and the number of the sample there.
+    """Return the random key of a packet's pixel, and the number of its sample there.
 
     Parameters
     ----------
     pixels : PixelSamples
-        Whose events share Sobol' sets.
+        Events share Sobol' sets.
     packet : PACKET
     """
     sample = pixels.first + (packet.source >> SAMPLE_SHIFT) % pixels.each * pixels.step
@@ -346,7 +345,7 @@ def sample_of(pixels: PixelSamples, packet: Any) -> tuple[np.uint64, int]:
 
 @inlined
 def keep_state(polarised: Any, packet: Any, kept: Any) -> None:
-    """Copy the state of polarisation of a packet, where packets have one, to another packet or to an end.
+    """Copy a packet's state of polarisation, if any, to another packet or to an end.
 
     Parameters
     ----------
@@ -362,7 +361,7 @@ def keep_state(polarised: Any, packet: Any, kept: Any) -> None:
 
 @inlined
 def count_event(packet: Any) -> None:
-    """Count an event of a packet, from which on its moves are counted anew.
+    """Count an event of a packet, and reset its number of moves.
 
     Parameters
     ----------
@@ -378,9 +377,9 @@ def put(
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
     weight: float, key: np.uint64, query_from: float,
 ) -> Any:  # fmt: skip
-    """Queue a packet at a station and return its record; what is not given is inherited from `parent`.
+    """Queue a packet at a station and return its record; other fields are inherited from `parent`.
 
-    All moves go through here: after `MOST_MOVES` without an event the packet waits at `STUCK` instead.
+    After `MOST_MOVES` without an event the packet waits at `STUCK` instead.
 
     Parameters
     ----------
@@ -388,7 +387,7 @@ def put(
     station : int
     parent : PACKET
     frame : int
-        Of point and direction.
+        Frame of point and direction.
     x, y, z : float, mm
     dx, dy, dz : float
         Unit direction.
@@ -396,7 +395,7 @@ def put(
         W (forward) or m² sr (adjoint).
     key : uint64
     query_from : float, mm
-        Distance along the ray at which Embree starts to look.
+        Start of Embree's search along the ray.
     """
     moves = parent.moves + 1
     station = station if moves < MOST_MOVES else STUCK

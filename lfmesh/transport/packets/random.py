@@ -1,8 +1,8 @@
-"""Counter-based random numbers: each is a function of a key and a dimension, without a state.
+"""Counter-based random numbers: functions of a key and a dimension, without a state.
 
-A packet's key is hashed from (seed, replicate, pixel or packet number, pedigree of splits); its numbers are hashed
-from the key and a dimension. So no number depends on the order of chunks or on the number of threads. The hash is the
-finaliser of SplitMix64 (Steele, Lea & Flood, OOPSLA 2014), applied once for the key and once for the number.
+A packet's key is hashed from (seed, replicate, pixel or packet number, pedigree of splits); its numbers are hashed from
+the key and a dimension. So no number depends on the order of chunks or the number of threads. The hash is the finaliser
+of SplitMix64 (Steele, Lea & Flood, OOPSLA 2014), applied once for the key and once for the number.
 """
 
 import numpy as np
@@ -18,13 +18,13 @@ _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(
 _UNIT = 2.0**-53
 
 DIMENSIONS_PER_EVENT = 16
-"""Numbers that one event of a packet may draw."""
+"""Most random numbers that one event of a packet may draw."""
 
 WAVELENGTHS = 1 << 62
-"""Number of a child of a key that no sample or packet has."""
+"""Number of a key's child that no sample or packet uses."""
 
 START_DIMENSION = -64
-"""First of the dimensions of a packet's starting numbers, which lie before those of any event."""
+"""First dimension of a packet's starting numbers. They lie before the dimensions of all events."""
 
 
 @kernel
@@ -43,7 +43,7 @@ def derived(key: np.uint64, number: int) -> np.uint64:
 
 @kernel
 def uniform(key: np.uint64, dimension: int) -> float:
-    """Return a random number in [0, 1), with 53 bits, by a key and a dimension."""
+    """Return a random number in [0, 1), with 53 bits, for a key and a dimension."""
     return float(mix(key + GOLDEN * np.uint64(dimension + 1)) >> _S11) * _UNIT
 
 
@@ -55,12 +55,12 @@ def start(key: np.uint64, dimension: int) -> float:
 
 @kernel
 def wavelength_number(key: np.uint64) -> float:
-    """Return the random number in [0, 1) by which what has a key takes its wavelengths in a band."""
+    """Return the random number in [0, 1) that places the wavelengths of a key's owner within a band."""
     return uniform(derived(key, WAVELENGTHS), 0)
 
 
 def wavelength_numbers(key: np.uint64, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the `wavelength_number` of children of a key, (n,)."""
+    """Return the `wavelength_number` of each given child of a key, (n,)."""
     found = np.empty(len(numbers))
     _fill_wavelength_numbers(key, numbers, found)
     return found
@@ -73,9 +73,9 @@ def _fill_wavelength_numbers(key: np.uint64, numbers: NDArray[np.int64], found: 
 
 
 def descendant(key: int | np.uint64, *numbers: int) -> np.uint64:
-    """Return the key of a child of a child of ... of a key, for callers in Python.
+    """Return the key of a child of a child, and so on, of a key, for callers in Python.
 
-    A kernel returns its uint64 as a Python integer, which numba would take for a signed one in the next call.
+    A kernel returns its uint64 as a Python integer, which numba would take as signed in the next call.
     """
     for number in numbers:
         key = derived(np.uint64(key), number)
@@ -83,5 +83,5 @@ def descendant(key: int | np.uint64, *numbers: int) -> np.uint64:
 
 
 def run_key(seed: int) -> np.uint64:
-    """Return the key of a run, whose children are the keys of replicates, and their children those of wavelengths."""
+    """Return the key of a run; its children are keys of replicates, and theirs keys of wavelengths."""
     return descendant(0x6C666D657368, seed)

@@ -1,10 +1,9 @@
-"""Scrambled Sobol' points for the numbers that a path starts from: they fill the unit cube more evenly than chance.
+"""Scrambled Sobol' points for the first numbers of a path: they fill the unit cube more evenly than random numbers.
 
-The points are those of Sobol' (1967) with the direction numbers of Joe & Kuo (SIAM J. Sci. Comput. 30, 2635, 2008:
-new-joe-kuo-6), with Owen's scrambling (1995): each digit is flipped at random, by a hash of all digits before it. So
-every single point is uniformly distributed, an average over the points is unbiased, and the spread of independently
-scrambled sets gives a valid standard error. The hash is Laine & Karras's (EGSR 2011) in the form of Burley (JCGT 9(4),
-2020), on the bits in reverse.
+They combine Sobol's points (1967), the direction numbers of Joe & Kuo (SIAM J. Sci. Comput. 30, 2635, 2008:
+new-joe-kuo-6) and Owen's scrambling (1995): each digit is flipped at random, by a hash of all digits before it. So
+every point is uniformly distributed, averages are unbiased, and the spread of independent sets gives a valid standard
+error. The hash is Laine & Karras's (EGSR 2011) in Burley's form (JCGT 9(4), 2020), on the reversed bits.
 """
 
 import numpy as np
@@ -13,9 +12,9 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.packets.random import derived, mix
 
 COLUMNS = (0, 1, 2, 21, 3, 4, 6, 11)
-"""Dimensions of Joe & Kuo's that are used, counted from zero.
+"""Dimensions of Joe & Kuo's set that are used, counted from zero.
 
-The first two make a (0, 2)-sequence. The next two nearly do, with t = 0 for 8 and 32 points and t = 1 for 16 and 64; in
+The first two make a (0, 2)-sequence. The next two nearly do, with t = 0 for 8 and 32 points and t = 1 for 16 and 64. In
 Joe & Kuo's own order they would have t = 2 for eight points, and a replicate often has no more. The last two nearly
 make one, too.
 """
@@ -24,8 +23,8 @@ DIMENSIONS = len(COLUMNS)
 _BITS = 32
 
 _FIRST_OF_EVENTS = -7
-"""Number of the child of a pixel's key for an event's number 0: negative, as those of `scramble_seed`, two of which it
-would share with the numbers 0 and 1. No event has these, see `crossing.BOUNCE_U`."""
+"""Number of the child of a pixel's key for event number 0. It is negative like the numbers of `scramble_seed`, and
+event numbers 0 and 1 would share two of those. No event has these numbers, see `crossing.BOUNCE_U`."""
 
 _POLYNOMIALS = ((0, 0), (1, 0), (2, 1), (7, 7), (3, 1), (3, 2), (4, 4), (5, 13))
 """Degree and inner coefficients of each dimension's primitive polynomial; the first dimension has none."""
@@ -71,7 +70,7 @@ def _reversed(x: np.uint32) -> np.uint32:
 
 @kernel
 def _scrambled(x: np.uint32, seed: np.uint32) -> np.uint32:
-    """Return a number with its binary digits flipped, each by a hash of those before it."""
+    """Return a number with its binary digits flipped, each by a hash of the digits before it."""
     x = _reversed(x)
     x = np.uint32(x + seed)
     x = np.uint32(x ^ np.uint32(x * _LK1))
@@ -83,7 +82,7 @@ def _scrambled(x: np.uint32, seed: np.uint32) -> np.uint32:
 
 @kernel
 def sobol(index: int, dimension: int) -> np.uint32:
-    """Return a coordinate of the Sobol' point number `index`, as the 32 bits after the binary point."""
+    """Return a coordinate of Sobol' point number `index`, as the 32 bits after the binary point."""
     point = np.uint32(0)
     bit = 0
     while index > 0:
@@ -96,12 +95,12 @@ def sobol(index: int, dimension: int) -> np.uint32:
 
 @kernel
 def owen_sobol(key: np.uint64, index: int, dimension: int) -> float:
-    """Return a coordinate in [0, 1) of a point of the set that `key` scrambles.
+    """Return a coordinate in [0, 1) of a point in the set scrambled by `key`.
 
     Parameters
     ----------
     key : uint64
-        Key of the set: hashed from (seed, replicate, pixel).
+        Key of the set, from (seed, replicate, pixel).
     index : int
         Number of the point, below 2³²; the first 2^m points are stratified.
     dimension : int
@@ -112,8 +111,8 @@ def owen_sobol(key: np.uint64, index: int, dimension: int) -> float:
 
 @kernel
 def scramble_seed(key: np.uint64, dimension: int) -> np.uint32:
-    """Return the seed of the hash that scrambles a dimension in the set of a key."""
-    # Children with negative numbers: those from zero on are the keys of the samples.
+    """Return the seed of the hash that scrambles a dimension for the set of a key."""
+    # Children with negative numbers: the numbers from zero on give the keys of the samples.
     return np.uint32(derived(key, -1 - dimension) & np.uint64(0xFFFFFFFF))
 
 
@@ -125,17 +124,17 @@ def scrambled(point: np.uint32, seed: np.uint32) -> float:
 
 @kernel
 def of_event(key: np.uint64, number: int, sample: int) -> tuple[float, float]:
-    """Return a point in the unit square for one event of a sample's path, evenly spread over the samples of a pixel.
+    """Return a point in the unit square for one event of a sample; a pixel's samples are evenly spread.
 
-    Each event has a Sobol' set of its own, in which the samples come in another order, so that the numbers of different
-    events are independent (Burley, JCGT 9(4), 2020, section 5).
+    Each event has its own Sobol' set with the samples in a different order, so events are independent (Burley, JCGT
+    9(4), 2020, section 5).
 
     Parameters
     ----------
     key : uint64
-        Key of the pixel in its replicate.
+        Of the pixel in its replicate.
     number : int
-        Of the event's first dimension; tells the sets of a pixel apart.
+        First dimension of the event; identifies its set in the pixel.
     sample : int
         Number of the sample, below 2³².
     """
@@ -170,7 +169,7 @@ def scramble(points: np.ndarray, seeds: np.ndarray, numbers: np.ndarray) -> None
 
 @kernel
 def step(point: np.ndarray, sample: int) -> None:
-    """Step from the point of sample − 1 to that of `sample`, in Gray-code order: one digit of the index changes.
+    """Step from the point of sample − 1 to that of `sample` in Gray-code order: one digit of the index changes.
 
     Sample s is point number s ^ (s >> 1), so the first 2^m samples are the first 2^m points.
     """

@@ -1,8 +1,7 @@
-"""The stacks in which packets wait at their stations, in one block of memory that has a limit.
+"""Stacks for packets that wait at their stations, in one block of memory of limited size.
 
-A wave takes the top of a stack. Before it is taken there is room for all packets that may come of it; where these would
-not fit within the limit, the wave is shorter. So memory is bounded however many children a packet has, and however many
-lamps a point asks.
+A wave takes the top of a stack, after room is made for all its possible children. It is shorter if these would not fit
+within the limit. So memory is bounded for any number of children per packet and of lamps per point.
 """
 
 import numpy as np
@@ -11,13 +10,13 @@ from numpy.typing import NDArray
 from lfmesh.transport.packets.packet import OBJECTS, STATIONS
 
 MOST_BYTES = 256 << 20
-"""Largest size of the stacks of one thread, but for packets that are started all at once."""
+"""Largest size of the stacks of one thread, except for packets that are started all at once."""
 
 CHILDREN = 2
-"""Largest number of packets that one adds to a stack, but for that of object space, where points ask lamps."""
+"""Most packets that one packet adds to a stack, except the stack of object space, where points ask lamps."""
 
 _WAVE, _WAVE_OF_OBJECTS = STATIONS, STATIONS + 1
-"""Places of the last waves: of object space, whose stack is longer, and of the others."""
+"""Places of the last waves: of stations other than object space, and of object space, which has a longer stack."""
 
 
 class Stacks:
@@ -28,13 +27,13 @@ class Stacks:
     record : dtype
         Of the packets.
     tops : (TOPS,) int64
-        Number of packets in each stack; kernels that queue packets count them there.
+        Number of packets in each stack, updated by kernels.
 
     Attributes
     ----------
     memory : (n,) PACKET
     begins : (STATIONS + 2,) int64
-        Where each stack begins in it.
+        Start of each stack in `memory`.
     """
 
     def __init__(self, record: np.dtype[np.void], tops: NDArray[np.int64]) -> None:
@@ -45,17 +44,17 @@ class Stacks:
         self._room, self._room_of_objects = 0, 0
 
     def waiting(self, station: int) -> NDArray[np.void]:
-        """Return the packets that wait at a station, a view until the next wave is taken."""
+        """Return the packets that wait at a station, a view valid until the next wave is taken."""
         begin = self.begins[station]
         return self.memory[begin : begin + self._tops[station]]
 
     def queue(self, station: int, packets: NDArray[np.void]) -> None:
-        """Let packets wait at a station in place of those that do; there is room for them."""
+        """Replace the packets that wait at a station; there must be room."""
         self._tops[station] = len(packets)
         self.waiting(station)[:] = packets
 
     def move(self, station: int, to: int) -> None:
-        """Let the packets that wait at one station wait at another, where none does; neither is object space."""
+        """Move all packets to another, empty station; neither may be object space."""
         begins, tops = self.begins, self._tops
         begins[station], begins[to] = begins[to], begins[station]
         tops[to], tops[station] = tops[station], 0
@@ -81,7 +80,7 @@ class Stacks:
         return wave
 
     def make_room(self, packets: int) -> None:
-        """Make room for what as many packets may add that are started at once.
+        """Make room for the children of packets that are started at once.
 
         Parameters
         ----------
@@ -90,14 +89,14 @@ class Stacks:
         self._grow(*self._need(packets, CHILDREN))
 
     def fitted(self, count: int, children: int) -> int:
-        """Make room for what a wave may add; return the number of its packets, fewer where more would not fit.
+        """Make room for a wave's children; return the number of its packets, fewer if more would not fit.
 
         Parameters
         ----------
         count : int
             Largest number of packets, one or more.
         children : int
-            Largest number of packets that each of them adds to the stack of object space.
+            Most packets that each adds to the stack of object space.
         """
         most = MOST_BYTES // self.record.itemsize
         while count > 1 and _total(*self._need(count, children)) > most:
@@ -106,13 +105,13 @@ class Stacks:
         return count
 
     def _need(self, packets: int, children: int) -> tuple[int, int]:
-        """Return the room that stacks need where packets of a station may add to each: that of any, of object space."""
+        """Return the room that packets of one station may need in any stack, and in that of object space."""
         tops = self._tops[:STATIONS]
         others = max(int(tops[:OBJECTS].max()), int(tops[OBJECTS + 1 :].max())) + CHILDREN * packets
         return max(self._room, others), max(self._room_of_objects, int(tops[OBJECTS]) + children * packets)
 
     def _grow(self, room: int, room_of_objects: int) -> None:
-        """Give the stacks more room, if they need it, and then a quarter more, so that they seldom do."""
+        """Give the stacks more room if needed, with a quarter to spare."""
         if (room, room_of_objects) == (self._room, self._room_of_objects):
             return
         ample = (5 * room) // 4, (5 * room_of_objects) // 4
@@ -131,5 +130,5 @@ class Stacks:
 
 
 def _total(room: int, room_of_objects: int) -> int:
-    """Return the number of packets that all stacks hold."""
+    """Return the total capacity of all stacks, in packets."""
     return STATIONS * room + 2 * room_of_objects

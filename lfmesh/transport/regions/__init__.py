@@ -1,1 +1,1 @@
-"""Regions in which packets travel: lens, array, objects and sensor, and the queries of Embree."""
+"""Regions of travel: lens, array, objects and sensor, and the queries of Embree."""

@@ -1,9 +1,8 @@
-"""The sensor's cover glass: a plate parallel to the sensor, whose two faces divide every packet that meets them.
+"""The sensor's cover glass: a plate parallel to the sensor with two faces that divide every packet.
 
-Sensor frame: the pixels lie at z = 0 and light arrives with dz > 0, so that the plate's front face lies at
-z = -(gap + thickness) and its rear face at z = -gap. Packets wait at the sensor's station before the plate, in it and
-behind it; their height and sense of travel say which of the three planes comes next. In the adjoint method they start
-here too.
+Sensor frame: the pixels lie at z = 0 and light arrives with dz > 0, so the plate's front face lies at
+z = -(gap + thickness) and its rear face at z = -gap. Packets wait at the sensor's station in front of the plate, in it
+and behind it; height and direction give the next of the three planes. In the adjoint method they also start here.
 """
 
 from typing import Any
@@ -45,7 +44,7 @@ def through_cover(
     wave: NDArray[np.void], sensor: SensorTables, cover: CoverTables, has_mla: bool, lens_surfaces: int, frames: Array,
     options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Take each packet of a wave to the next face of the cover and divide it there, to a pixel, or out to the array.
+    """Move packets to the next face of the cover and divide them there, to a pixel, or to the array.
 
     Parameters
     ----------
@@ -54,7 +53,7 @@ def through_cover(
     cover : CoverTables
     has_mla : bool
     lens_surfaces : int
-        Number of refracting surfaces of the lens.
+        Refracting surfaces of the lens.
     frames : (6, 6, 3, 4) float64
     options : Options
     flow : Flow
@@ -69,7 +68,7 @@ def through_cover(
         elif down and z >= cover.rear_z:
             onto_pixel(packet, sensor, SENSOR, lens_surfaces, frames, options, flow)
         elif not down and z <= cover.front_z:
-            # It comes from the lens or the array and, as the sensor is tilted, runs past the cover's plane.
+            # It comes from the lens or the array and, as the sensor is tilted, misses the cover's plane.
             end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
         elif not too_deep(options, flow, frames, packet):
             at_front = z < cover.front_z if down else z <= cover.rear_z
@@ -81,7 +80,7 @@ def _leave(
     flow: Flow, packet: Any, outside: int, lens_surfaces: int, z: float, x: float, y: float,
     dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
-    """Queue a packet that is before the cover and flies away from it, as packets start at a pixel without a cover."""
+    """Queue a packet that leaves the front of the cover, like a packet from a pixel without a cover."""
     child = put(flow, outside, packet, SENSOR_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
     child.space, child.last, child.facet, child.column = lens_surfaces, NO_SURFACE, NO_SURFACE, NO_SURFACE
 
@@ -112,7 +111,7 @@ def _meet_face(
     packet: Any, at_front: bool, cover: CoverTables, outside: int, lens_surfaces: int, frames: Array,
     options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Divide a packet at the face of the cover that it meets next."""
+    """Divide a packet at the next face of the cover."""
     down = packet.dz > 0.0
     entering = at_front == down
     sense = 1.0 if down else -1.0
@@ -128,7 +127,7 @@ def _meet_face(
     bent = refracted(packet.dx, packet.dy, packet.dz, 0.0, 0.0, sense, n_i / n_t, cos_i, cos_t)
     place = (at_front, outside, lens_surfaces)
     if options.faces == BY_ORDER:
-        # Only what both faces transmit is on the image path.
+        # Only light that both faces transmit is on the image path.
         flow.counts[EVENTS] += 1
         count_event(packet)
         flow.book[UNFOLLOWED] += packet.weight * reflectance

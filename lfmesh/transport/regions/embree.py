@@ -1,4 +1,4 @@
-"""Queries of Embree for the facet that a ray meets first. The only module that imports embreex."""
+"""Embree queries for the first facet on a ray. The only module that imports embreex."""
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -16,11 +16,11 @@ class Finder:
     mesh : Mesh
         All facets of the region; `find` returns their numbers.
     owners : (m,) int64, optional
-        Numbers that `find` returns in place of those of the facets.
+        Numbers that `find` returns in place of facet numbers.
     """
 
     def __init__(self, mesh: Mesh, owners: NDArray[np.int64] | None = None) -> None:
-        # The last entry is that of facet −1, none.
+        # The last entry is for facet −1, none.
         self._owners = None if owners is None else np.append(owners, -1).astype(np.int32)
         self._scene = EmbreeScene()
         self._empty = len(mesh.faces) == 0
@@ -34,7 +34,7 @@ class Finder:
             self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
 
     def find(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.int32]:
-        """Return the (n,) number of the facet each ray meets first, −1 for none. Releases the GIL.
+        """Return the number of the first facet on each ray, −1 for none, (n,). Releases the GIL.
 
         Parameters
         ----------

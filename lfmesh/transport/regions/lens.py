@@ -1,4 +1,4 @@
-"""The main lens, packet by packet: a surface is found by Embree or by the order of the surfaces, and float64 decides.
+"""The main lens, packet by packet: Embree or the surfaces' order finds a surface, and float64 decides.
 
 All in the camera frame. A packet in space s lies between surface s − 1 and surface s (see `LensTables`).
 """
@@ -81,11 +81,11 @@ Array = NDArray[np.float64]
 
 
 GRAZING = 1e-2
-"""Cosine of incidence below which the order of aspheres and posed surfaces leaves a hit to the meshes."""
+"""Cosine of incidence below which hits on aspheres and posed surfaces are left to the meshes."""
 
 
 NEARBY_TRIES = 4
-"""Number of refused facets near the start (the packet's own facet and its neighbours) that are queried from behind."""
+"""Refused facets near the start (the packet's own facet and its neighbours) that are queried from behind."""
 
 
 @kernel
@@ -95,9 +95,8 @@ def admit_to_lens(
 ) -> int:  # fmt: skip
     """Move a wave into the camera frame, write its rays for Embree, and return how many packets remain.
 
-    Rays from outside the box start at its border.
-
-    Packets that miss the box end on the housing; the others are moved up in the wave.
+    Rays from outside the box start at its border. Packets that miss it end on the housing; the others move up in the
+    wave.
 
     Parameters
     ----------
@@ -105,7 +104,7 @@ def admit_to_lens(
     origins, directions : (n, 3) float32
         Filled.
     queried : bool
-        Whether Embree is asked; if not, no rays are written.
+        Write rays for Embree.
     """
     low, high = lens.box_low, lens.box_high
     kept = 0
@@ -132,15 +131,15 @@ def shade_lens(
     wave: NDArray[np.void], found: NDArray[np.int32], block: Array, met: NDArray[np.int64],
     lens: LensTables, has_mla: bool, frames: Array, options: Options, flow: Flow, in_order: bool,
 ) -> None:  # fmt: skip
-    """Process a wave of packets: refuse what a query found, absorb the packet, or split it at its surface.
+    """Process a wave: refuse the facet found, absorb the packet, or split it at its surface.
 
-    Works block by block: hits on conics, nearly all, are found by vector instructions, the others packet by packet, and
-    all packets of the block are split together.
+    Works block by block. Hits on conics, nearly all, are found by vector instructions, the others singly, and all
+    packets of the block are split together.
 
     Without a query, surfaces are found by their order: a packet in a space can only meet its two surfaces and its ring.
-    Where both surfaces are exact conics, their roots decide, unless the ring may come first. A ray that is steeper than
-    both surfaces are anywhere, aspheres and posed ones among them, can only meet the one ahead, and that once. What is
-    not decided goes to the station of the lens's meshes.
+    If both surfaces are exact conics, their roots decide, unless the ring may come first. A ray that is steeper than
+    both surfaces everywhere, including aspheres and posed ones, meets only the surface ahead, and only once. Undecided
+    packets go to the station of the lens's meshes.
 
     Parameters
     ----------
@@ -152,7 +151,7 @@ def shade_lens(
         Working memory.
     has_mla : bool
     in_order : bool
-        Whether surfaces are found by their order.
+        Find surfaces by their order.
     """
     most_terms = _most_terms(lens)
     for first in range(0, len(wave), BLOCK):
@@ -200,7 +199,7 @@ def _most_terms(lens: LensTables) -> int:
 
 @kernel
 def _at_aspheres(block: Array, count: int) -> int:
-    """Return how many of the packets in a block are at aspheres, and clear the places beyond the packets."""
+    """Return the number of a block's packets at aspheres, and clear the unused places."""
     curved = 0
     for i in range(count):
         curved += 1 if block[TERMS + i] > 0.0 else 0
@@ -213,7 +212,7 @@ def _at_aspheres(block: Array, count: int) -> int:
 def _prepare_in_order(
     block: Array, i: int, packet: Any, lens: LensTables, options: Options, most_terms: int
 ) -> None:  # fmt: skip
-    """Enter a packet in the block for `meet_in_order`, unless it has to be looked at singly."""
+    """Enter a packet in the block for `meet_in_order`, unless it needs individual treatment."""
     block[SENSE + i], block[SIZE + i], block[TERMS + i] = 0.0, 0.0, 0.0
     space, colour, last_space = packet.space, packet.colour, len(lens.surfaces)
     x, y, z = packet.x, packet.y, packet.z
@@ -238,7 +237,7 @@ def _prepare_in_order(
 def _prepare_the_one_ahead(block: Array, i: int, packet: Any, lens: LensTables, most_terms: int) -> None:
     """Enter a packet that is steeper than the surfaces of its space in the block, with the surface ahead.
 
-    In the frame of that surface, if it is posed.
+    In the frame of the surface, if it is posed.
     """
     space, order = packet.space, lens.order[packet.space]
     k = space if packet.dz > 0.0 else space - 1
@@ -253,7 +252,7 @@ def _prepare_the_one_ahead(block: Array, i: int, packet: Any, lens: LensTables, 
         block[DX + i], block[DY + i], block[DZ + i] = direction_through(
             surface.unpose, packet.dx, packet.dy, packet.dz
         )  # fmt: skip
-    # Beside the aperture the mesh of an asphere deviates from where the asphere ends.
+    # Outside the aperture the mesh of an asphere deviates where the asphere ends.
     reach = min(surface.semi_diameter, surface.end)
     set_only_conic(
         block, i, surface.curvature, 1.0 + surface.conic, surface.vertex_z, reach * reach,
@@ -269,7 +268,7 @@ def _meets_the_one_ahead(
     block: Array, i: int, packet: Any,
     lens: LensTables, has_mla: bool, frames: Array, options: Options, flow: Flow,
 ) -> int:  # fmt: skip
-    """Move a hit of the block into the camera frame; return the surface, unless stop or ring end the packet."""
+    """Move a hit of the block into the camera frame; return the surface unless stop or ring end the packet."""
     k, space = int(block[NUMBER + i]), packet.space
     surface = lens.surfaces[k]
     x, y, z = block[PX + i], block[PY + i], block[PZ + i]
@@ -293,19 +292,19 @@ def _decide_in_order(
     block: Array, i: int, packet: Any,
     lens: LensTables, has_mla: bool, frames: Array, options: Options, flow: Flow,
 ) -> int:  # fmt: skip
-    """Find a single packet's surface by the roots of the conics of its space, as `_decide` does by meshes."""
+    """Find a single packet's surface by the roots of the conics of its space (by meshes: `_decide`)."""
     space, free2 = packet.space, lens.order[packet.space, 8]
     if packet.events >= options.max_events:
         too_deep(options, flow, frames, packet)
         return NO_SURFACE
     outside = space == 0 or space == len(lens.surfaces)
     if outside and (packet.dz < 0.0) == (space == 0) and abs(packet.dz) > lens.order[space, 9]:
-        # It is steeper than the outermost surface, and runs away from it.
+        # It is steeper than the outermost surface, and moves away from it.
         pass_by(options, flow, frames, lens, has_mla, packet)
         return NO_SURFACE
     k, t, px, py, z, nx, ny, nz, settled = first_conic(lens, packet)
     if k == NO_SURFACE:
-        # Beside the circle that a mesh reaches everywhere may be a corner of it.
+        # Outside the circle that a mesh reaches everywhere there may be a corner of it.
         settled = settled and outside and lens.by_roots[space] and not crosses_beside(lens, packet)
     elif not outside:
         settled = settled and px * px + py * py <= free2 and packet.x * packet.x + packet.y * packet.y <= free2
@@ -333,10 +332,10 @@ def _decide_in_order(
 def _prepare(
     block: Array, i: int, packet: Any, prim: int, lens: LensTables, options: Options, most_terms: int
 ) -> int:  # fmt: skip
-    """Enter a packet in the block if the facet found is of an exact surface of its space; return the surface.
+    """Enter a packet in the block if its facet belongs to an exact surface of its space; return the surface.
 
-    `NO_SURFACE`: it has to be looked at singly. So has a ray at an asphere that is not steeper than that anywhere, as
-    it may cross it more than once.
+    `NO_SURFACE`: the packet needs individual treatment. So does a ray that may cross an asphere more than once, as it
+    is not steeper everywhere.
     """
     block[SENSE + i], block[TERMS + i] = 0.0, 0.0
     if prim < 0 or packet.events >= options.max_events:
@@ -351,8 +350,8 @@ def _prepare(
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     sense = 1.0 if forward else -1.0
     if not outside:
-        # It may first meet the other surface of its space, where that one's mesh lies below the surface, unless it
-        # leaves that for good.
+        # It may first meet the other surface of its space, if the mesh of that lies below the surface, unless it
+        # leaves that surface for good.
         other = 2 * space - 1 - k
         if packet.last != other or lens.surfaces[other].level == PATCH:
             return NO_SURFACE
@@ -385,7 +384,7 @@ def _decide(
     block: Array, i: int, packet: Any, prim: int,
     lens: LensTables, has_mla: bool, frames: Array, options: Options, flow: Flow,
 ) -> int:  # fmt: skip
-    """Find where a single packet meets a surface; enter that in the block and return the surface.
+    """Find a single packet's surface, enter the hit in the block, and return the surface.
 
     `NO_SURFACE`: the packet has ended, is queued for another query, or has left the lens.
     """
@@ -409,7 +408,7 @@ def _decide(
             requery(options, flow, frames, LENS_MESH, packet, further, False, lens.lost_slot[space])
             return NO_SURFACE
     if k != NO_SURFACE:
-        # The mesh of a surface that bulges into the space lies behind the surface, and a ray that grazes the surface
+        # The mesh of a surface that bulges into the space lies behind the surface. A ray that grazes the surface
         # may miss the mesh.
         first, sooner, gx, gy, gz, mx, my, mz, _ = first_conic(lens, packet)
         if first != NO_SURFACE and first != k and sooner < t:
@@ -424,7 +423,7 @@ def _decide(
             pass_by(options, flow, frames, lens, has_mla, packet)
             return NO_SURFACE
     if k == NO_SURFACE:
-        # Rounding to float32 has put the start of the query, or the ray, past a facet; or a ray from outside grazes a
+        # Float32 rounding has put the start of the query, or the ray, past a facet; or a ray from outside grazes a
         # surface above the chords of all its facets.
         flow.counts[REQUERIES] += not missed_all
         k, prim, t, px, py, z, nx, ny, nz = first_of_all(flow, lens, packet)
@@ -445,7 +444,7 @@ def _decide(
     block[NX + i], block[NY + i], block[NZ + i] = nx, ny, nz
     set_facet(block, i, facets[max(prim, 0)])
     if prim < 0:
-        # No facet that the children's queries have to clear.
+        # The children's queries have no facet to clear.
         block[SIZE + i] = 0.0
     _set_sides(block, i, packet, k, lens)
     return k
@@ -456,14 +455,14 @@ def _is_cut(
     options: Options, flow: Flow, frames: Array, lens: LensTables, packet: Any,
     k: int, t: float, x: float, y: float, z: float,
 ) -> bool:  # fmt: skip
-    """Absorb a packet at the stop of its space, or at the mount outside the aperture of surface `k`; tell whether.
+    """Absorb a packet at the stop of its space, or at the mount around surface `k`; return True if absorbed.
 
     Parameters
     ----------
     t : float, mm
         Distance of the surface.
     x, y, z : float, mm
-        Point at which the packet meets the surface.
+        Hit.
     """
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     space = packet.space

@@ -1,9 +1,8 @@
 """A block of packets at refracting surfaces, laid out for vector instructions: hits, and the two children.
 
-A block is one float64 array of `ROWS` rows of `BLOCK` values, at constant offsets, like a bundle of the sequential
-engine, but each packet has its own surface, media and facet. There are no branches, and loops run over the whole block:
-the places beyond the last packet hold old values, whose results are never read. So every packet goes through the same
-instructions, whatever its neighbours are.
+A block is one float64 array of `ROWS` rows of `BLOCK` values, like a bundle of the sequential engine, but each packet
+has its own surface, media and facet. Loops have no branches and run over the whole block; the results of places beyond
+the last packet are never read. So every packet goes through the same instructions, whatever its neighbours are.
 """
 
 from typing import Any
@@ -23,12 +22,12 @@ from lfmesh.transport.sequences.lens_surfaces import conic_distance, conic_norma
 Array = NDArray[np.float64]
 
 BLOCK = 32
-"""Packets in a block: few enough that block and packets fit in the first-level cache."""
+"""Packets per block: few enough that block and packets fit in the first-level cache."""
 
 # The ray: its start, mm, camera frame, its unit direction, and the distance at which the query started.
 X, Y, Z, DX, DY, DZ, FROM = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK, 6 * BLOCK
 # The conic: curvature, 1 + conic constant, z of the vertex, square of the aperture's radius, and the sense in which it
-# is to be crossed: 1 along its normal, −1 against it, 0 where the packet is not for `meet_conics`.
+# is to be crossed: 1 along its normal, −1 against it, 0 if the packet is not for `meet_conics`.
 CURVATURE, SQUASH, VERTEX_Z, APERTURE2, SENSE = 7 * BLOCK, 8 * BLOCK, 9 * BLOCK, 10 * BLOCK, 11 * BLOCK
 # The facet: normal, offset of its plane, size.
 FACET_X, FACET_Y, FACET_Z, OFFSET, SIZE = 12 * BLOCK, 13 * BLOCK, 14 * BLOCK, 15 * BLOCK, 16 * BLOCK
@@ -52,10 +51,10 @@ TERMS, _RADIUS2, _SAG, _SLOPE, COEFFICIENTS = 47 * BLOCK, 48 * BLOCK, 49 * BLOCK
 ROWS = 51 + MAX_ASPHERE_TERMS
 
 NEWTON_STEPS = 12
-"""Newton's method takes three to five; what takes more is looked at singly."""
+"""Newton's method takes three to five; packets that take more are treated individually."""
 
 SETTLED = 1e-14
-"""Last Newton step, over the size of the coordinates: the point after it is exact, the normal as good as that."""
+"""Last Newton step, over the size of the coordinates, below which the point is exact and the normal equally good."""
 
 
 def empty_block() -> Array:
@@ -89,7 +88,6 @@ def set_facet(block: Array, i: int, facet: Any) -> None:
     ----------
     block : (ROWS · BLOCK,) float64
     i : int
-        Place in the block.
     facet : FACET
     """
     normal = facet.normal
@@ -105,10 +103,9 @@ def set_conic(block: Array, i: int, surface: Any, sense: float) -> None:
     ----------
     block : (ROWS · BLOCK,) float64
     i : int
-        Place in the block.
     surface : SURFACE
     sense : float
-        1 or −1: which of the two roots is the surface.
+        1 or −1: selects the root on the surface.
     """
     block[CURVATURE + i], block[SQUASH + i], block[VERTEX_Z + i] = (
         surface.curvature, 1.0 + surface.conic, surface.vertex_z,
@@ -119,9 +116,9 @@ def set_conic(block: Array, i: int, surface: Any, sense: float) -> None:
 
 @kernel
 def meet_conics(block: Array) -> None:
-    """Find where the rays cross their conics in the given sense, within the aperture, and by facets of that sense.
+    """Find the crossings of rays and conics in the given sense, within apertures, for facets of that sense.
 
-    The analytic root alone gives the point; the distance of the facet is not used.
+    The analytic root gives the point, without the distance of the facet.
     """
     for i in range(BLOCK):
         dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
@@ -142,13 +139,13 @@ def meet_conics(block: Array) -> None:
 
 @inlined
 def set_order(block: Array, i: int, space: Array, starts_on: float) -> None:
-    """Enter the two conics that bound a space, and the radius that its ring leaves free (a row of `LensTables.order`).
+    """Enter the two conics that bound a space, and the radius inside its ring (a row of `LensTables.order`).
 
     Parameters
     ----------
-    space : (9,) float64
+    space : (12,) float64
     starts_on : float
-        −1: the ray starts on the surface towards the object, 1: on the one towards the sensor, 0: on neither.
+        Surface of the start: towards the object (−1), towards the sensor (1), or neither (0).
     """
     block[CURVATURE + i], block[SQUASH + i], block[VERTEX_Z + i], block[APERTURE2 + i] = (
         space[0], space[1], space[2], space[3],
@@ -163,13 +160,12 @@ def set_order(block: Array, i: int, space: Array, starts_on: float) -> None:
 def set_only_conic(
     block: Array, i: int, curvature: float, squash: float, vertex_z: float, aperture2: float, sense: float
 ) -> None:
-    """Enter for `meet_in_order` a single conic, which the ray is to cross in the given sense, 1 or −1.
+    """Enter a single conic for `meet_in_order`, to be crossed in the given sense, 1 or −1.
 
     Parameters
     ----------
     block : (ROWS · BLOCK,) float64
     i : int
-        Place in the block.
     curvature : float, 1/mm
     squash : float
         1 + conic constant.
@@ -188,11 +184,11 @@ def set_only_conic(
 
 @pasted
 def _crossing(c: float, q: float, ray: Ray, begin: float, sense: float, starts_on: float) -> float:
-    """Return the distance at which a ray crosses a conic in the given sense, counted as `begin` is; inf: nowhere.
+    """Return the distance of a ray's crossing of a conic in the given sense, measured from `begin`; inf: none.
 
-    A ray that leaves a conic meets it again only on the hollow side; on the other, a root near the start is rounding.
-    One that starts elsewhere starts in front of the conic: if the root lies behind its start, it crosses the conic at
-    once, as in `first_conic`.
+    A ray that leaves a conic meets it again only on the concave side; on the other, a root near the start is rounding.
+    Any other ray starts in front of the conic: if the root lies behind its start, it crosses at once, as in
+    `first_conic`.
     """
     meets, t = conic_distance(c, q, ray, sense)
     along = sense * (ray.dz - c * (ray.x * ray.dx + ray.y * ray.dy + q * ray.z * ray.dz))
@@ -205,10 +201,10 @@ def _crossing(c: float, q: float, ray: Ray, begin: float, sense: float, starts_o
 
 @kernel
 def meet_in_order(block: Array) -> None:
-    """Find which of the two conics of its space each ray meets first, and where, without meshes.
+    """Find the first hit of each ray on the two conics of its space, without meshes.
 
-    Held are hits within the aperture. Start and hit must both lie within the radius that the ring of the space leaves
-    free, so that nothing else can come first.
+    Hits within the aperture are valid if start and hit lie within the ring's inner radius, so that nothing else can
+    come first.
     """
     for i in range(BLOCK):
         dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
@@ -235,36 +231,35 @@ def meet_in_order(block: Array) -> None:
 
 @inlined
 def set_asphere(block: Array, i: int, surface: Any, terms: int) -> None:
-    """Enter the terms of the surface whose conic has been entered; of a conic, that there are none.
+    """Enter the aspheric terms of the surface, after its conic; a conic has none.
 
     Parameters
     ----------
     block : (ROWS · BLOCK,) float64
     i : int
-        Place in the block.
     surface : SURFACE
     terms : int
-        Most terms that any packet of the block may have.
+        Largest number of terms of any packet of the block.
     """
     block[TERMS + i] = surface.terms
     if surface.terms > 0:
-        # They are added in pairs.
+        # Terms are added in pairs.
         for m in range((terms + 1) // 2 * 2):
             block[COEFFICIENTS + m * BLOCK + i] = surface.asphere[m]
 
 
 @kernel
 def meet_aspheres(block: Array, terms: int) -> None:
-    """Replace the hits that `meet_in_order` found on the conic parts of aspheres by those on the aspheres.
+    """Replace hits of `meet_in_order` on conic parts by hits on the aspheres.
 
-    By Newton's method, all rays at once while any moves. Held are hits where it settles; the caller has to know that
-    the ray crosses the asphere only once.
+    Uses Newton's method on all rays at once. Hits are valid if it converges; the caller must know that the ray crosses
+    the asphere only once.
 
     Parameters
     ----------
     block : (ROWS · BLOCK,) float64
     terms : int
-        Most terms that a surface has.
+        Largest number of terms of a surface.
     """
     for i in range(BLOCK):
         t, curved = block[AT + i] - block[FROM + i], block[TERMS + i] > 0.0
@@ -275,15 +270,15 @@ def meet_aspheres(block: Array, terms: int) -> None:
 
 @kernel
 def meet_aspheres_at_facets(block: Array, terms: int) -> None:
-    """Replace the hits that `meet_conics` found on the conic parts of aspheres by those on the aspheres.
+    """Replace hits of `meet_conics` on conic parts by hits on the aspheres.
 
-    As `meet_aspheres`, from where the ray crosses the facet that was found; in the sense of the facet only.
+    Like `meet_aspheres`, but from the crossing with the facet found, and only in its sense.
 
     Parameters
     ----------
     block : (ROWS · BLOCK,) float64
     terms : int
-        Most terms that a surface has.
+        As for `meet_aspheres`.
     """
     for i in range(BLOCK):
         nx, ny, nz = block[FACET_X + i], block[FACET_Y + i], block[FACET_Z + i]
@@ -298,7 +293,7 @@ def meet_aspheres_at_facets(block: Array, terms: int) -> None:
 
 @kernel
 def _settle(block: Array, terms: int) -> None:
-    """Let Newton's method lead the rays from the distances `AT`, counted from `FROM`, to their aspheres."""
+    """Move the rays to their aspheres by Newton's method, from the distances `AT`, measured from `FROM`."""
     moving = BLOCK
     for _ in range(NEWTON_STEPS):
         if moving == 0:
@@ -310,7 +305,7 @@ def _settle(block: Array, terms: int) -> None:
 
 @kernel
 def _add_terms(block: Array, terms: int) -> None:
-    """Find the sums of the aspheres' terms, over r⁴, and half their slope, over r³, at the distances `AT`."""
+    """Compute the sums of the aspheres' terms, over r⁴, and half their slopes, over r³, at the distances `AT`."""
     pairs = (terms + 1) // 2
     _add_last_terms(block, COEFFICIENTS + 2 * (pairs - 1) * BLOCK, 2.0 * pairs)
     for pair in range(pairs - 2, -1, -1):
@@ -338,7 +333,7 @@ def _add_two_terms(block: Array, row: int, half_power: float) -> None:
 
 @kernel
 def _newton_step(block: Array) -> int:
-    """Move the rays by a step; return how many have not settled. Leaves the whole slope over r in `_SLOPE`."""
+    """Move the rays by one step; return how many have not converged. Leaves the slope over r in `_SLOPE`."""
     moving = 0
     for i in range(BLOCK):
         dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
@@ -355,14 +350,14 @@ def _newton_step(block: Array) -> int:
         block[_SLOPE + i] = slope
         block[_RADIUS2 + i] = select(settled, r2, np.inf)
         block[AT + i] -= select(block[TERMS + i] > 0.0, step, 0.0)
-        # Neither has settled nor moves where the surface has ended, and the step is no number.
+        # Beyond the end of a surface the step is NaN: the ray has neither settled nor moves.
         moving += 1 if both(block[TERMS + i] > 0.0, abs(step) > limit) else 0
     return moving
 
 
 @kernel
 def _set_hits(block: Array) -> None:
-    """Enter the points on the aspheres and the normals there, where the last step has settled."""
+    """Enter the points on the aspheres and the normals there, if the last step has converged."""
     for i in range(BLOCK):
         dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
         t, r2, slope = block[AT + i] + block[FROM + i], block[_RADIUS2 + i], block[_SLOPE + i]
@@ -383,9 +378,9 @@ def _set_hits(block: Array) -> None:
 
 @kernel
 def split_block(block: Array) -> None:
-    """Compute each packet's shares of the power, and directions and start of the query of both children.
+    """Compute the shares of power, directions and query starts of each packet's children.
 
-    The shares are those of bare surfaces; at coated ones packets are divided singly.
+    The shares are for bare surfaces; at coated ones packets are divided singly.
     """
     for i in range(BLOCK):
         dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
@@ -410,7 +405,7 @@ def incidence(block: Array, i: int) -> float:
 
 @inlined
 def set_child(block: Array, child: int, i: int, ux: float, uy: float, uz: float) -> None:
-    """Enter the direction of a child, and the distance at which its query starts.
+    """Enter the direction of a child, and the start of its query.
 
     Parameters
     ----------
@@ -418,7 +413,6 @@ def set_child(block: Array, child: int, i: int, ux: float, uy: float, uz: float)
     child : int
         `REFLECTED` or `REFRACTED`, plus the place.
     i : int
-        Place in the block.
     ux, uy, uz : float
         Unit direction.
     """

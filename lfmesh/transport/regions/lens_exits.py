@@ -1,4 +1,4 @@
-"""Division of packets at surfaces of the lens, and their ways out of it: object space, array, sensor, stop or ring.
+"""Division of packets at surfaces of the lens, and their exits: to object space, array, sensor, stop or ring.
 
 All in the camera frame.
 """
@@ -67,7 +67,7 @@ Array = NDArray[np.float64]
 def stop_cuts(
     lens: LensTables, x: float, y: float, z: float, dx: float, dy: float, dz: float
 ) -> tuple[bool, float]:  # fmt: skip
-    """Return whether the line of a ray passes the plane of the stop outside its aperture, and at which distance.
+    """Return whether the line of a ray crosses the plane of the stop outside its aperture, and the distance, mm.
 
     A ray parallel to the plane is cut, at distance 0.
 
@@ -93,16 +93,16 @@ def leave_lens(
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64, space: int,
     query_from: float,
 ) -> None:  # fmt: skip
-    """Queue a packet that has left the lens: for object space, the array, or without an array the sensor.
+    """Queue a packet that has left the lens for object space, the array or, without an array, the sensor.
 
-    It ends on the stop if the stop lies on its side of the lens and it misses the aperture.
+    It ends on a stop on its side of the lens if it misses the aperture.
 
     Parameters
     ----------
     space : int
         In front of the lens (0) or behind it.
     query_from : float, mm
-        Distance at which the next query starts.
+        Start of the next query along the ray.
     """
     if lens.stop_space == space:
         cuts, t = stop_cuts(lens, x, y, z, dx, dy, dz)
@@ -123,9 +123,9 @@ def leave_lens(
 
 @inlined
 def _leaves_for_good(lens: LensTables, into: int, dz: float) -> bool:
-    """Tell whether a ray from an outermost surface goes into a space outside the lens and cannot meet it again.
+    """Tell whether a ray from an outermost surface leaves the lens and cannot meet it again.
 
-    As the surface bulges outwards, or the ray is steeper than it is anywhere.
+    True if the surface bulges outwards, or the ray is steeper than it everywhere.
     """
     last = len(lens.surfaces)
     return (into == 0 and (lens.convex_front or -dz > lens.order[0, 11])) or (
@@ -174,7 +174,7 @@ def divide_at_surface(
     ----------
     block : (ROWS · BLOCK,) float64
     i : int
-        Its place in the block.
+        Place in the block.
     packet : PACKET
     k : int
         Number of the surface.
@@ -225,7 +225,7 @@ def _bend_by_thin_lens(
     block: Array, i: int, packet: Any, k: int, lens: LensTables, options: Options, flow: Flow,
     x: float, y: float, z: float,
 ) -> None:  # fmt: skip
-    """Enter the direction behind a thin lens for the refracted child; let importance change by the étendue."""
+    """Enter the direction of the refracted child behind a thin lens; scale importance by the étendue."""
     surface, dx, dy, dz = lens.surfaces[k], packet.dx, packet.dy, packet.dz
     if surface.posed:
         x, y, z = point_through(surface.unpose, x, y, z)
@@ -241,7 +241,7 @@ def _bend_by_thin_lens(
 
 @kernel
 def pass_by(options: Options, flow: Flow, frames: Array, lens: LensTables, has_mla: bool, packet: Any) -> None:
-    """Send a packet that met nothing out of the lens, or end it on the housing behind the lens.
+    """Send a packet that met nothing out of the lens, or end it on the housing.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def pass_by(options: Options, flow: Flow, frames: Array, lens: LensTables, has_m
 
 @kernel
 def absorb_at_ring(options: Options, flow: Flow, frames: Array, lens: LensTables, packet: Any, t: float) -> None:
-    """Absorb a packet at the ring of its space, on a lens edge or the mount, or at the stop if it meets that first.
+    """Absorb a packet at the ring of its space (lens edge or mount), or at the stop if that comes first.
 
     Parameters
     ----------

@@ -23,23 +23,22 @@ Array = NDArray[np.float64]
 
 
 RING = -2
-"""In place of a surface's number: the ring that bounds a space sideways."""
+"""Stands in for a surface number: the ring that bounds a space sideways."""
 
 
 SAME_HIT = 1e-9
-"""Share of a hit's distance within which another hit on the same surface is that hit, found in two ways."""
+"""Relative distance between two hits on a surface below which they are the same hit, found in two ways."""
 
 
 @inlined
 def meets_at_facet(
     flow: Flow, lens: LensTables, packet: Any, prim: int, least: float
 ) -> tuple[int, float, float, float, float, float, float, float]:
-    """Return the surface of its space that a packet meets at a facet, the distance, the point, and the normal.
+    """Return the surface that a packet meets at a facet, the distance, the point, and the normal.
 
-    The normal points along the ray. `RING` stands for the ring of the space. `NO_SURFACE` refuses the facet: it belongs
-    to another space, is crossed in the wrong sense or, where the facet itself is the surface that the packet left, lies
-    nearer than `least`. The other surface of the space may touch that one: its facets may lie behind the start by as
-    much as float32 rounds.
+    The normal points along the ray. `RING` is the ring of the space. `NO_SURFACE` refuses the facet: it belongs to
+    another space, is crossed in the wrong sense or, if flat and on the surface that the packet left, lies nearer than
+    `least`. The other surface of the space may touch that one: its facets may lie behind the start by float32 rounding.
 
     Parameters
     ----------
@@ -58,7 +57,7 @@ def meets_at_facet(
     nx, ny, nz = normal[0], normal[1], normal[2]
     along = nx * dx + ny * dy + nz * dz
     k = facet.body
-    # A packet in front of a surface crosses its facets along their normals, one behind it against them.
+    # A packet in front of a surface crosses its facets along their normals, a packet behind it against them.
     forward = k == space
     met = (forward and along > 0.0) or (k == space - 1 and along < 0.0)
     if met and is_conic(lens.surfaces[k]):
@@ -114,17 +113,17 @@ def meets_at_facet(
 def first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, float, float, float, float, float, bool]:
     """Return the first conic of its space that a packet meets, the distance, the point, and the normal along the ray.
 
-    By the analytic roots, without meshes. The last value tells whether all surfaces of the space are conics.
+    Uses the analytic roots, without meshes. The last value tells whether all surfaces of the space are conics.
 
-    A packet is in front of both surfaces of its space. Where they touch, its start on one may lie on the other, or be
-    rounded to beyond it: it crosses that one at once, at the root behind it or at its start.
+    A packet is in front of both surfaces of its space. If they touch, its start on one may lie on the other or, by
+    rounding, beyond it; it then crosses the other at once, at its start or a root behind it.
     """
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     space = packet.space
     first, nearest = NO_SURFACE, np.inf
     fx, fy, fz, nx, ny, nz = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
     settled = True
-    # Counted from where the ray enters the box, as fewer digits are lost than from its start, which may be far away.
+    # Measured from the entry into the box: the start may be far away and would cost digits.
     ahead = packet.limit if packet.last == NO_SURFACE else 0.0
     x, y, z = packet.x + ahead * dx, packet.y + ahead * dy, packet.z + ahead * dz
     for k in range(max(space - 1, 0), min(space + 1, len(lens.surfaces))):
@@ -142,7 +141,7 @@ def first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, float
         px, py, pz = sx + t * ex, sy + t * ey, sz + t * ez - surface.vertex_z
         t += ahead
         on_sheet = surface.curvature * (1.0 + surface.conic) * pz < 1.0
-        # A ray that leaves a conic meets it again only on the hollow side; on the other, a root is rounding.
+        # A ray that leaves a conic meets it again only on the concave side; on the other, a root is rounding.
         again = k != packet.last or sense * surface.curvature < 0.0
         meets = met and again and on_sheet and t < nearest and _on_mesh(surface, px * px + py * py)
         if meets and (t > 0.0 or (k != packet.last and _crosses_at_once(surface, begin, sense))):
@@ -157,17 +156,17 @@ def first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, float
 
 @inlined
 def _crosses_at_once(surface: Any, begin: Ray, sense: float) -> bool:
-    """Tell whether a packet is about to cross a conic that it starts on or beyond, as the crossing lies behind it.
+    """Tell whether a packet that starts on or beyond a conic crosses it at once.
 
-    Neighbours do not cross where both have their apertures: a start there is beyond the conic by rounding alone.
+    Neighbouring surfaces do not cross within both apertures, so a start there is beyond the conic by rounding alone.
 
     Parameters
     ----------
     surface : SURFACE record
     begin : Ray
-        From the vertex.
+        Relative to the vertex.
     sense : float
-        In which the packet crosses the conic.
+        Sense of the crossing.
     """
     x, y, z, dx, dy, dz = begin
     along = dz - surface.curvature * (x * dx + y * dy + (1.0 + surface.conic) * z * dz)
@@ -178,20 +177,20 @@ def _crosses_at_once(surface: Any, begin: Ray, sense: float) -> bool:
 def first_bulge(
     lens: LensTables, packet: Any, found: int, until: float
 ) -> tuple[int, int, float, float, float, float, float, float, float]:  # fmt: skip
-    """Return what `first_conic` does for the other curved surfaces of a packet's space, where meshes may miss them.
+    """Return the results of `first_conic` for other curved surfaces of a packet's space, which meshes may miss.
 
     After the surface comes the facet of its patch, −1 for an exact one.
 
-    The vertices of a mesh are on the surface: a ray that grazes a bulge may pass between surface and mesh, and one that
-    leaves a hollow may meet that again before it comes to the mesh. Where the surfaces of a space touch, a query may
-    begin behind the mesh of either. By steps that miss no crossing.
+    The vertices of a mesh are on the surface, so a ray that grazes a bulge may pass between surface and mesh, and a ray
+    that leaves a concave surface may meet it again before the mesh. If surfaces touch, a query may begin behind the
+    mesh of either. The steps used here miss no crossing.
 
     Parameters
     ----------
     found : int
-        Surface that its mesh, or its roots, have found so far.
+        Surface found so far by its mesh or its roots.
     until : float, mm
-        Distance of that: what comes later is of no interest.
+        Distance of that hit; later ones are ignored.
     """
     space = packet.space
     first, nearest = NO_SURFACE, until
@@ -222,7 +221,7 @@ def first_bulge(
         if surface.posed:
             fx, fy, fz = point_through(surface.pose, fx, fy, fz)
             nx, ny, nz = direction_through(surface.pose, nx, ny, nz)
-    # A crossing that the mesh has found already is no news.
+    # Ignore a crossing that the mesh has found already.
     prim, t, mx, my, mz = _first_patch(lens.tree, space, ray_of(packet), ahead, nearest * (1.0 - SAME_HIT))
     if prim >= 0:
         first, nearest = lens.facets[prim].body, t
@@ -234,7 +233,7 @@ def first_bulge(
 
 @inlined
 def _sense_at(space: int, body: int) -> float:
-    """Return the sense in which a packet of a space meets the patches of a surface; 0 for one of another space."""
+    """Return the sense in which a packet in a space crosses the patches of a surface; 0 for surfaces elsewhere."""
     return 1.0 if body == space else (-1.0 if body == space - 1 else 0.0)
 
 
@@ -243,19 +242,19 @@ _first_patch = patch_finder(_sense_at)
 
 @inlined
 def bulges_everywhere(surface: Any, sense: float) -> bool:
-    """Tell whether a surface bulges everywhere into the space from which it is crossed in a sense."""
+    """Tell whether a surface, crossed in a sense, bulges everywhere into the space in front of it."""
     return surface.least_bend >= 0.0 if sense > 0.0 else surface.most_bend <= 0.0
 
 
 @inlined
 def _meets_once(surface: Any) -> bool:
-    """Tell whether a line crosses a surface once at most in either sense, as it is convex or hollow everywhere."""
+    """Tell whether a line crosses a surface at most once in either sense: it is convex or concave everywhere."""
     return surface.least_bend >= 0.0 or surface.most_bend <= 0.0
 
 
 @kernel
 def crosses_beside(lens: LensTables, packet: Any) -> bool:
-    """Tell whether a packet outside the lens crosses the outermost conic anywhere, if only beside its mesh."""
+    """Tell whether a packet outside the lens crosses the outermost conic, even beside its mesh."""
     k = 0 if packet.space == 0 else len(lens.surfaces) - 1
     surface, sense = lens.surfaces[k], 1.0 if packet.space == 0 else -1.0
     dx, dy, dz = packet.dx, packet.dy, packet.dz
@@ -269,10 +268,10 @@ def crosses_beside(lens: LensTables, packet: Any) -> bool:
 def first_of_all(
     flow: Flow, lens: LensTables, packet: Any
 ) -> tuple[int, int, float, float, float, float, float, float, float]:
-    """Return the first surface that a packet meets, its facet (−1: none), and the other results of `meets_at_facet`.
+    """Return the first surface that a packet meets, its facet (−1: none), and the rest of `meets_at_facet`.
 
-    Slow but certain: conics by their analytic roots, as a ray along a concave one may run between surface and mesh, and
-    so other exact surfaces by steps; everything else by testing every facet in float64.
+    Slow but certain: conics by their analytic roots and other exact surfaces by steps, because a ray along a concave
+    one may run between surface and mesh; everything else by testing all facets in float64.
 
     Parameters
     ----------
@@ -310,7 +309,7 @@ def first_of_all(
                 continue
         first, first_prim, nearest, fx, fy, fz, nx, ny, nz = k, prim, t, px, py, pz, mx, my, mz
     if first == NO_SURFACE and _is_between_exact(lens, space):
-        # As neither surface is met, it is the ring, between the circle of a rim and the chords of its mesh.
+        # Neither surface is met, so it is the ring, between the circle of a rim and the chords of its mesh.
         first, nearest = RING, packet.limit
     return first, first_prim, nearest, fx, fy, fz, nx, ny, nz
 
@@ -324,7 +323,7 @@ def _is_between_exact(lens: LensTables, space: int) -> bool:
 
 @inlined
 def is_conic(surface: Any) -> bool:
-    """Tell whether a surface is an exact conic, whose hits have a closed form."""
+    """Tell whether a surface is an exact conic, with hits in closed form."""
     return surface.level == EXACT and surface.terms == 0
 
 
@@ -344,12 +343,12 @@ def radius2_at(surface: Any, x: float, y: float, z: float) -> float:
 
 @inlined
 def _on_mesh(surface: Any, radius2: float) -> bool:
-    """Tell whether a squared radius is within the clear aperture or the margin by which meshes exceed it."""
+    """Tell whether a squared radius lies within the clear aperture plus the mesh's margin."""
     reach = _reach(surface)
     return radius2 <= reach * reach
 
 
 @inlined
 def _reach(surface: Any) -> float:
-    """Return the radius up to which the mesh of a surface reaches everywhere, mm."""
+    """Return the radius, mm, of the largest circle that the mesh of a surface covers."""
     return min(surface.semi_diameter * (1.0 + OVERREACH), surface.end)

@@ -1,13 +1,13 @@
 """The microlens array in the mesh engine, folded: all lenslets of a type share one cell mesh about their centre.
 
-Array frame: z runs from the curved face into the glass. Space 0 is the air before the curved face, 1 the glass, 2 the
-air behind the flat face. The curved faces lie in the thin layer top ≤ z ≤ valley. Only in that layer does a ray belong
-to a cell; where it leaves the cell sideways before it meets the face or leaves the layer, it walks into the next cell.
-Below the layer the glass is one plate. The flat face is one plane and needs no query of Embree.
+Array frame: z runs from the curved face into the glass. Space 0 is the air in front of the curved face, 1 the glass, 2
+the air behind the flat face. The curved faces lie in the thin layer top ≤ z ≤ valley, the only place where a ray
+belongs to a cell. If it leaves the cell sideways first, it walks into the next cell. Below the layer the glass is one
+plate. The flat face is one plane and needs no Embree query.
 
-Where the lenslets are exact spheres, a ray of a cell can only meet the one sphere of that cell, the cell's sides and
-the borders of the layer, so that their distances decide, without a query. What they do not decide goes to the station
-of the cells' meshes. Other exact profiles are met by steps that miss no crossing, which always decides.
+If the lenslets are exact spheres, a ray in a cell can only meet the sphere of that cell, the cell's sides and the
+borders of the layer. Their distances decide without a query; undecided packets go to the station of the cells' meshes.
+Other exact profiles are met by steps that miss no crossing, which always decides.
 """
 
 from typing import Any
@@ -57,16 +57,16 @@ Array = NDArray[np.float64]
 
 
 UNSURE = 1e-9
-"""Share of its way to the border of a cell, or of the layer, within which a hit is left to the mesh to decide."""
+"""Relative distance to the border of a cell, or of the layer, within which a hit is left to the mesh."""
 
 
 ROUNDED = 1e-12
-"""Share of its way to the border of a cell, or of the layer, by which a hit may lie beyond it from rounding."""
+"""Relative distance beyond the border of a cell, or of the layer, at which a hit is accepted as rounding."""
 
 
 @inlined
 def fold_of(mla: MlaTables, column: int, row: int) -> tuple[float, float]:
-    """Return the x and y offset from the cell mesh in Embree's scene to a lenslet, mm.
+    """Return the x and y offsets, mm, from the cell mesh in Embree's scene to a lenslet.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def shade_cells(
     wave: NDArray[np.void], found: NDArray[np.int32], block: Array, met: NDArray[np.int64],
     mla: MlaTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow, in_order: bool,
 ) -> None:  # fmt: skip
-    """Process a wave of packets in the layer: decide in float64 whether each meets its cell's face, and split it there.
+    """Process a wave in the layer: find hits on the cells' faces in float64, and split packets there.
 
     Parameters
     ----------
@@ -112,9 +112,9 @@ def shade_cells(
     met : (BLOCK,) int64
         Working memory.
     lens_surfaces : int
-        Number of refracting surfaces of the lens.
+        Refracting surfaces of the lens.
     in_order : bool
-        Whether the lenslets are exact spheres that are met without a query.
+        The lenslets are exact spheres, met without a query.
     """
     for first in range(0, len(wave), BLOCK):
         count = min(BLOCK, len(wave) - first)
@@ -136,7 +136,7 @@ def shade_cells(
 
 @inlined
 def _enter_cell(block: Array, i: int, packet: Any, mla: MlaTables) -> None:
-    """Enter a packet and the sphere of its cell in the block for `meet_in_order`, about the lenslet's apex."""
+    """Enter a packet and its cell's sphere in the block for `meet_in_order`, relative to the lenslet's apex."""
     column, row = packet.column, packet.row
     cx, cy = centre(mla.lenslets.lattice, column, row)
     curvature, ex, ey = shape_of(mla.lenslets, column, row)
@@ -150,7 +150,7 @@ def _enter_cell(block: Array, i: int, packet: Any, mla: MlaTables) -> None:
 
 @inlined
 def _sense_at(sense: float, _: int) -> float:
-    """Return the sense in which a packet crosses the face of its cell."""
+    """Return the sense of a packet's crossing of its cell's face."""
     return sense
 
 
@@ -162,9 +162,9 @@ def _meets_face(
     block: Array, i: int, packet: Any, prim: int,
     mla: MlaTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow, in_order: bool,
 ) -> int:  # fmt: skip
-    """Decide whether a packet meets the face of its cell; enter that in the block, or send the packet on.
+    """Enter a packet's hit on the face of its cell in the block, or send the packet on.
 
-    `NO_SURFACE`: it has ended, or is queued in the next cell, behind the layer, or for another query.
+    `NO_SURFACE`: the packet has ended, or is queued in the next cell, behind the layer, or for another query.
     """
     if packet.tries == 0 and too_deep(options, flow, frames, packet):
         return NO_SURFACE
@@ -211,8 +211,8 @@ def _meets_face(
             crossed = along != 0.0 and (along > 0.0) == inward
         t = at_facet if crossed else packet.query_from
         if options.surface == EXACT:
-            # A ray crosses a sphere once in either sense. The facet gives the point to start from; if Embree finds
-            # none of the face, the entry into the layer does.
+            # A ray crosses a sphere once in either sense. The search starts at the facet or, if Embree finds
+            # no facet, at the entry into the layer.
             curvature, ex, ey = shape_of(lenslets, column, row)
             met, more = conic_distance(
                 curvature, 0.0, Ray(x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz, dx, dy, dz),
@@ -288,7 +288,7 @@ def _meets_face(
 def _ends_on_mask(
     block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, options: Options, flow: Flow
 ) -> bool:
-    """End a packet of a block that meets its lenslet outside the clear aperture; return True if it does."""
+    """End a packet that meets its lenslet outside the clear aperture; return True if it does."""
     clear_radius = mla.lenslets.clear_radius
     if clear_radius == np.inf:
         return False
@@ -308,12 +308,12 @@ def _ends_on_mask(
 def _ends_by_diffraction(
     apertures: Any, block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, options: Options, flow: Flow
 ) -> bool:
-    """Change the direction in which a packet of a block comes to a lenslet from the air; return True if that ends it.
+    """Diffract a packet that meets a lenslet from the air; return True if that ends it.
 
     Parameters
     ----------
     apertures : Apertures or None
-        Those of `mla`; None: there is no diffraction.
+        `mla.apertures`; None without diffraction.
     """
     if apertures is None:
         return False
@@ -333,7 +333,7 @@ def _ends_by_diffraction(
 
 @kernel
 def _walk(options: Options, flow: Flow, frames: Array, mla: MlaTables, packet: Any, sideways: float, side: int) -> None:
-    """Take a packet into the next cell; the step between lenslets of different shape is a wall, which absorbs."""
+    """Move a packet into the next cell; the step between lenslets of different shape is an absorbing wall."""
     lenslets = mla.lenslets
     lattice = lenslets.lattice
     x, y, z = packet.x, packet.y, packet.z
@@ -367,10 +367,10 @@ def _send_from_curved_face(
     place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
-    """Queue a child of a packet at a curved face, which the parent met from the air (`inward`) or from the glass.
+    """Queue a child of a packet at a curved face that the parent met from the air (`inward`) or from the glass.
 
-    A child cannot meet its own lenslet again, which is a single sphere, or less steep than the child. So it is through
-    if it leaves the layer before it leaves the cell; else it may meet a neighbouring lenslet.
+    A child cannot meet its own lenslet again if that is a single sphere, or less steep than the child. If it then
+    leaves the layer before the cell, it is through; else it may meet a neighbouring lenslet.
     """
     mla, lens_surfaces, inward, prim, normal = place
     lenslets = mla.lenslets
@@ -409,10 +409,10 @@ def _through_face(
     block: Array, i: int, packet: Any, prim: int,
     mla: MlaTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Divide a packet of a block where it meets the curved face of its cell."""
+    """Divide a packet of a block at the curved face of its cell."""
     inward = packet.space == BEFORE
     if packet.last == LEFT_FACE:
-        # The second lenslet before the array's other face is off the image path, and that of every ghost.
+        # A second lenslet before the array's other face is off the image path, and off the path of every ghost.
         packet.path = NEXT_LENSLET[packet.path]
     packet.last = LEFT_FACE
     cell = packet.row * mla.lenslets.lattice.columns + packet.column

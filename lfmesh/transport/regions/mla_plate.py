@@ -1,4 +1,4 @@
-"""The plate of the microlens array with its flat face, and the steps that both faces of the array share.
+"""The plate of the microlens array with its flat face, and operations shared by both faces.
 
 Array frame; see `regions.mla` for the spaces.
 """
@@ -40,13 +40,13 @@ BEFORE, GLASS, BEHIND = 0, 1, 2
 
 @inlined
 def medium_of(mla: MlaTables, packet: Any) -> int:
-    """Return the number of the medium that a packet is in."""
+    """Return the number of a packet's medium."""
     return mla.medium if packet.space == GLASS else AIR
 
 
 @inlined
 def _left_in_glass(absorption: Any, flow: Flow, medium: int, colour: int, weight: float, distance: float) -> float:
-    """Return what is left of a weight behind a distance in the glass; the rest is entered in the book."""
+    """Return a weight after a distance in glass, mm; the book takes the loss."""
     if absorption is None:
         return weight
     left = weight * transmitted(absorption, medium, colour, distance)
@@ -67,17 +67,16 @@ def leave_mla(
     flow : Flow
     packet : PACKET
     frame : int
-        Of the face that it left.
+        Frame of the face that it left.
     x, y, z : float, mm
-        Where it left.
+        Point on the face.
     dx, dy, dz : float
     weight : float
     key : uint64
-        Of its random numbers.
     to_lens : bool
-        It goes to the lens; else to the sensor.
+        To the lens; else to the sensor.
     lens_surfaces : int
-        Number of refracting surfaces of the lens.
+        Refracting surfaces of the lens.
     """
     child = put(flow, LENS if to_lens else SENSOR, packet, frame, x, y, z, dx, dy, dz, weight, key, 0.0)
     child.space = lens_surfaces
@@ -88,14 +87,14 @@ def into_layer(
     options: Options, flow: Flow, frames: Array, mla: MlaTables, packet: Any,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64, space: int,
 ) -> None:  # fmt: skip
-    """Find the cell in which a packet enters the layer of curved faces, and queue it there.
+    """Queue a packet in the cell where it enters the layer of curved faces.
 
-    It ends on the mount or on the array's edge if it misses the array.
+    It ends on the mount or the array's edge if it misses the array.
 
     Parameters
     ----------
     space : int
-        Space that it comes from: `BEFORE` or `GLASS`.
+        Space it comes from: `BEFORE` or `GLASS`.
     """
     lenslets = mla.lenslets
     border = lenslets.top if space == BEFORE else lenslets.valley
@@ -121,7 +120,7 @@ def _send_from_flat_face(
     place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
-    """Queue a child of a packet at the flat face, which the parent met from the glass (`outward`) or from the air."""
+    """Queue a child of a packet at the flat face that the parent met from the glass (`outward`) or from the air."""
     mla, lens_surfaces, outward = place
     if refracts == outward:
         leave_mla(flow, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, not mla.curved_to_lens, lens_surfaces)
@@ -140,7 +139,7 @@ def through_plate(
     wave: NDArray[np.void], block: Array, met: NDArray[np.int64],
     mla: MlaTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Take a wave of packets into the layer of curved faces, or split them at the flat face.
+    """Move a wave of packets into the layer of curved faces, or split them at the flat face.
 
     Parameters
     ----------
@@ -149,7 +148,6 @@ def through_plate(
     met : (BLOCK,) int64
         Working memory.
     lens_surfaces : int
-        Number of refracting surfaces of the lens.
     """
     for first in range(0, len(wave), BLOCK):
         count = min(BLOCK, len(wave) - first)
@@ -183,7 +181,7 @@ def through_plate(
 def _reaches_flat_face(
     block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, options: Options, flow: Flow
 ) -> int:
-    """Enter a packet in the block where it meets the flat face; `NO_SURFACE`: it has ended or is in the layer."""
+    """Enter a packet's hit on the flat face in the block; `NO_SURFACE`: it has ended or is in the layer."""
     lenslets = mla.lenslets
     thickness = lenslets.thickness
     if _goes_to_lenslets(mla.back, mla, packet, frames, options, flow):
@@ -226,12 +224,12 @@ def _reaches_flat_face(
 
 @inlined
 def _goes_to_lenslets(back: Any, mla: MlaTables, packet: Any, frames: Array, options: Options, flow: Flow) -> bool:
-    """Queue a packet in the layer of faces that it goes to, in an array with lenslets on both; else return False.
+    """In an array with lenslets on both faces, queue a packet in the layer ahead; else return False.
 
     Parameters
     ----------
     back : MlaTables, or None
-        That of `mla`.
+        `mla.back`.
     """
     if back is None:
         return False
@@ -260,7 +258,7 @@ def _goes_to_lenslets(back: Any, mla: MlaTables, packet: Any, frames: Array, opt
 def _into_next_layer(
     options: Options, flow: Flow, frames: Array, mla: MlaTables, packet: Any, space: int
 ) -> None:  # fmt: skip
-    """Take a packet, which is given in the frame of the lenslets, into their layer of faces."""
+    """Move a packet, given in the frame of the lenslets, into their layer."""
     into_layer(
         options, flow, frames, mla, packet, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
         packet.weight, packet.key, space,
@@ -271,13 +269,13 @@ def _into_next_layer(
 def shares_at_face(
     block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, number: int, outward: bool, flow: Flow
 ) -> tuple[float, float]:
-    """Return what a packet of a block reflects and transmits at a face, of what a coating leaves of it.
+    """Return a packet's reflected and transmitted shares at a face, after absorption in its coating.
 
     Parameters
     ----------
     block : (ROWS · BLOCK,) float64
     i : int
-        Its place in the block.
+        Place in the block.
     packet : PACKET
     mla : MlaTables
     frames : (6, 6, 3, 4) float64
@@ -304,17 +302,16 @@ def shares_at_face(
 def scattered_at_face(
     block: Array, i: int, packet: Any, mla: MlaTables, number: int, options: Options
 ) -> tuple[bool, float, float, float]:
-    """Return whether a rough face transmits a packet of a block, and the direction in which it leaves.
+    """Return whether a rough face transmits a packet of a block, and its new direction.
 
     Parameters
     ----------
     block : (ROWS · BLOCK,) float64
     i : int
-        Its place in the block.
     packet : PACKET
     mla : MlaTables
     number : int
-        Row of the interface.
+        As for `shares_at_face`.
     options : Options
     """
     return scattered(
@@ -325,13 +322,12 @@ def scattered_at_face(
 
 @inlined
 def set_sides(block: Array, i: int, packet: Any, mla: MlaTables, outward: bool, number: int) -> None:
-    """Enter a face as an interface, and the indices before and after it.
+    """Enter a face as an interface, with the indices on both sides.
 
     Parameters
     ----------
     block : (ROWS · BLOCK,) float64
     i : int
-        Its place in the block.
     packet : PACKET
     mla : MlaTables
     outward : bool

@@ -1,4 +1,4 @@
-"""The sensor: a packet ends on a pixel, or beside the sensor, and what the pixel reflects goes on."""
+"""The sensor: packets end on a pixel or beside the sensor, and reflected light goes on."""
 
 from typing import Any
 
@@ -40,7 +40,7 @@ from lfmesh.transport.paths.automaton import OFF_FACE, cutoff_at_child
 from lfmesh.transport.tables.tables import SensorTables
 
 NO_PIXEL, NOWHERE = -1, -2
-"""In place of a pixel's number: beside the sensor; the ray does not meet the sensor's plane."""
+"""Placeholders for a pixel's number: beside the sensor; the ray does not meet the sensor's plane."""
 
 
 @kernel
@@ -53,7 +53,7 @@ def onto_sensor(
     ----------
     wave : (n,) PACKET
     sensor : SensorTables
-        That reflects nothing.
+        Without reflection.
     frames : (6, 6, 3, 4) float64
     options : Options
     flow : Flow
@@ -72,7 +72,7 @@ def onto_reflecting_sensor(
     wave: NDArray[np.void], sensor: SensorTables, has_mla: bool, lens_surfaces: int, frames: NDArray[np.float64],
     options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Do as `onto_sensor` with what pixels detect, and send back what they reflect.
+    """End packets as `onto_sensor` does with the detected share, and send back the reflected share.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def onto_reflecting_sensor(
     sensor : SensorTables
     has_mla : bool
     lens_surfaces : int
-        Number of refracting surfaces of the lens.
+        Refracting surfaces of the lens.
     frames : (6, 6, 3, 4) float64
     options : Options
     flow : Flow
@@ -97,16 +97,15 @@ def onto_pixel(
     packet: Any, sensor: SensorTables, station: int, lens_surfaces: int, frames: NDArray[np.float64],
     options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """End a packet (sensor frame) in the sensor's plane with what the pixel detects, and send back what it reflects.
+    """End a packet (sensor frame) on the sensor with its detected share, and send back the reflected share.
 
     Parameters
     ----------
     packet : PACKET
     sensor : SensorTables
     station : int
-        Where what is reflected waits.
+        Station of the reflected packet.
     lens_surfaces : int
-        Number of refracting surfaces of the lens.
     """
     pixel, x, y = _pixel_met(packet, sensor)
     if pixel < 0 or sensor.reflectance == 0.0:
@@ -147,7 +146,7 @@ def onto_pixel(
 
 @inlined
 def _pixel_met(packet: Any, sensor: SensorTables) -> tuple[int, float, float]:
-    """Return the pixel that a packet (sensor frame) meets, row by row, or why it meets none, and where it ends, mm."""
+    """Return the pixel that a packet (sensor frame) meets, row by row, or the reason for none, and its end, mm."""
     x, y, z = packet.x, packet.y, packet.z
     if packet.dz <= 0.0 or z > 0.0:
         return NOWHERE, x, y
@@ -165,12 +164,12 @@ def _end_on(
     pixel: int, x: float, y: float, weight: float, packet: Any, frames: NDArray[np.float64], options: Options,
     flow: Flow,
 ) -> None:  # fmt: skip
-    """End a packet on a pixel, beside the sensor or, where it does not meet the sensor's plane, where it is."""
+    """End a packet on a pixel, beside the sensor or, if it misses the sensor's plane, at its present place."""
     if pixel == NOWHERE:
         end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
         return
     if packet.kind == LAMP:
-        # The image of a lamp, which nothing has scattered, is in no class of paths.
+        # The unscattered image of a lamp is in no class of paths.
         flow.book[SAMPLING_REMOVED] += weight
         return
     slot, status = (ON_SENSOR, S_SENSOR) if pixel >= 0 else (BESIDE_SENSOR, S_ABSORBED)

@@ -1,4 +1,4 @@
-"""The end of packets that move from station to station without an event, which nothing else would ever stop."""
+"""End of packets that move on without an event and would otherwise never stop."""
 
 from typing import Any
 
@@ -23,13 +23,13 @@ from lfmesh.transport.packets.packet import (
 def lose_stuck(
     wave: NDArray[np.void], lost_in_lens: NDArray[np.int64], frames: NDArray[np.float64], options: Options, flow: Flow
 ) -> None:
-    """End the packets of a wave as lost; those that ask whether a light is seen carry no energy of their own.
+    """End the packets of a wave as lost, except shadow packets, which carry no energy of their own.
 
     Parameters
     ----------
     wave : (n,) PACKET
     lost_in_lens : (K + 1,) int64
-        Slots of the book of energy lost in each space of the lens.
+        Slots of the book for each space of the lens.
     frames : (6, 6, 3, 4) float64
     options : Options
     flow : Flow
@@ -42,7 +42,7 @@ def lose_stuck(
 
 @inlined
 def _body_of(packet: Any, lost_in_lens: NDArray[np.int64]) -> int:
-    """Return the slot of the body in which a packet is lost, by the frame of its ray."""
+    """Return the slot for energy lost in the body that holds a packet, by the frame of its ray."""
     if packet.frame == CAMERA_FRAME:
         return int(lost_in_lens[packet.space])
     if packet.frame == MLA_FRAME or packet.frame == BACK_FRAME:

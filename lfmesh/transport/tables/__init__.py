@@ -1,1 +1,1 @@
-"""Tables of a scene as kernels read them: lens, array, objects and frames."""
+"""Tables of a scene for kernels: lens, array, objects and frames."""

@@ -19,15 +19,15 @@ from lfmesh.scene.inputs import file_stamp
 Array = NDArray[np.float64]
 
 RESONANT = 256
-"""Pieces to have at least where a layer's index is below both media's: light may then resonate between such layers,
-within an angle so small that few points would miss it."""
+"""Least number of pieces if a layer's index is below both media's. Light may then resonate between such layers, within
+an angle so small that few points would miss it."""
 
 KEPT = 256
 
 
 @dataclass(frozen=True)
 class CoatingTable:
-    """The shares of a coating between two media at some wavelengths, as kernels read them.
+    """Shares of a coating between two media at some wavelengths, for kernels.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class CoatingTable:
     pieces : int
     absorbs : bool
     error : float
-        Largest error of interpolation that was found, absolute.
+        Largest absolute error of interpolation found.
     """
 
     values: Array
@@ -46,13 +46,12 @@ class CoatingTable:
 
 
 def absorbs(scene: Scene, name: str, wavelengths_nm: Sequence[float]) -> bool:
-    """Tell whether a coating of the scene absorbs light at any of some wavelengths.
+    """Tell whether a coating of the scene absorbs light at any of the wavelengths.
 
     Parameters
     ----------
     scene : Scene
     name : str
-        Of the coating.
     wavelengths_nm : sequence of float
     """
     return _absorbs(scene.all_coatings[name], wavelengths_nm)
@@ -71,15 +70,14 @@ def coating_table(
     ----------
     scene : Scene
     name : str
-        Of the coating.
     outer, inner : Medium
-        Media on the side that its layers begin with, and on the other.
+        Media on the side of its first layer, and on the other side.
     wavelengths_nm : sequence of float
 
     Raises
     ------
     SceneError, FileError
-        Its file cannot be used, or does not reach a wavelength; it cannot be tabulated.
+        Its file cannot be used or does not cover a wavelength, or it cannot be tabulated.
     """
     coating = scene.all_coatings[name]
     path = scene.resolve(coating.table) if coating.table is not None else None
@@ -92,14 +90,14 @@ def _tabulated(
     name: str, coating: Coating, path: Path | None, stamp: tuple[object, ...], outer: Medium, inner: Medium,
     wavelengths_nm: tuple[float, ...],
 ) -> CoatingTable:  # fmt: skip
-    """Return the table of a coating; `stamp` only tells versions of its file apart."""
+    """Return the table of a coating; `stamp` only identifies the version of its file."""
     measured = read_reflectance(path) if path is not None else None
     if (rows := coating.measured) is not None:
         measured = ReflectanceTable.of(rows.wavelengths_nm, rows.angles_deg, rows.reflectance)
     lossy = _absorbs(coating, wavelengths_nm)
     tables: list[ShareTable] = []
     try:
-        # All wavelengths have the same pieces: those of the one that needs the most.
+        # All wavelengths have as many pieces as the most demanding one.
         while not tables or len({table.pieces for table in tables}) > 1:
             least = max((table.pieces for table in tables), default=1)
             tables = [
@@ -123,7 +121,7 @@ def _tabulated(
 
 
 def _size(coating: Coating) -> str:
-    """Describe how large a stack is."""
+    """Describe the size of a stack."""
     layers = coating.layers or ()
     total_um = sum(layer.thickness_nm for layer in layers) / 1000.0
     return f"it has {len(layers)} layer{'' if len(layers) == 1 else 's'}, {total_um:.4g} µm in all"
@@ -166,7 +164,7 @@ def _at_wavelength(
 
 
 def _under_total_reflection(thin: float, dense: float, stack: Stack, wavelength_nm: float, u: Array) -> Array:
-    """Return the reflectance from the denser medium beyond the critical angle, by u of `optics.share_table`."""
+    """Return the reflectance from the denser medium beyond the critical angle (u: see `optics.share_table`)."""
     edge = np.sqrt((dense - thin) * (dense + thin))
     if edge == 0.0:
         return np.ones_like(u)
@@ -176,7 +174,7 @@ def _under_total_reflection(thin: float, dense: float, stack: Stack, wavelength_
 
 
 def stack_of(layers: Sequence[Layer], wavelength_nm: float) -> Stack:
-    """Return layers as they are at a wavelength, in the order of the scene.
+    """Return layers at a wavelength, in the order of the scene.
 
     Parameters
     ----------

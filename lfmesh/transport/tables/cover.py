@@ -1,4 +1,4 @@
-"""The sensor's cover glass as kernels read it."""
+"""Table of the sensor's cover glass for kernels."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.tables import Interfaces, Media
 
 FRONT_ROW, REAR_ROW = 0, 1
-"""Rows of the cover's interfaces: the face towards the lens, and the one towards the sensor."""
+"""Rows of the cover's interfaces: the face towards the lens, and the face towards the sensor."""
 
 
 @by_address
@@ -39,7 +39,6 @@ def cover_tables(
     scene : Scene
     wavelengths_nm : tuple of float
     interfaces : Interfaces
-        Of the cover.
     known : MediumList
     book : Book
     """
@@ -52,10 +51,10 @@ def cover_tables(
 
 
 def apparent_frames(scene: Scene, moves: Array) -> Array:
-    """Return the moves between frames with the sensor where it appears to be, seen through its cover along its normal.
+    """Return the moves between frames with the sensor at its apparent place behind its cover.
 
-    A plane-parallel plate in air leaves directions as they are and moves rays sideways, to first order as if the sensor
-    were nearer by t (1 - 1/n). Rays are aimed from there. Without a cover these are the moves as given.
+    A plane-parallel plate in air keeps directions and moves rays sideways, to first order as if the sensor were nearer
+    by t (1 - 1/n). Rays are aimed from there. Without a cover the moves are unchanged.
 
     Parameters
     ----------

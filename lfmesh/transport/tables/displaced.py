@@ -1,4 +1,4 @@
-"""Refuse media that bodies of glass or liquid keep from where they are said to be."""
+"""Refuse media that bodies of glass or liquid displace."""
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.meshes.crossings import parts_in_shells, set_back
@@ -7,17 +7,17 @@ from lfmesh.transport.tables.hosts import Hosts
 
 
 def refuse_displaced(boundary: Array, where: str, hosts: Hosts, body: int | None) -> None:
-    """Refuse a medium in air all of which lies in bodies, and one in a body that it lies beside.
+    """Refuse a medium in air that lies wholly in bodies, and a medium in a body that lies wholly outside it.
 
     Parameters
     ----------
     boundary : (m, 3, 3) float64, mm, world frame
-        Corners of the facets of the boundary of the medium, outward-facing.
+        Corners of the outward facets of the medium's boundary.
     where : str
-        Name of the medium.
+        Its name.
     hosts : Hosts
     body : int or None
-        That the medium is inside; None: it is in what bodies stand in.
+        Body that holds the medium; None: around the bodies.
 
     Raises
     ------
@@ -40,12 +40,12 @@ def refuse_displaced(boundary: Array, where: str, hosts: Hosts, body: int | None
 
 
 def _reaches_into(surface: Array, shell: Array, touching: float) -> bool:
-    """Tell whether a part just behind a surface is in a shell."""
+    """Tell whether any place just behind a surface is in a shell."""
     return bool(parts_in_shells(set_back(surface, touching), [shell], touching)[0].any())
 
 
 def _holds_a_hollow(boundary: Array, hosts: Hosts) -> bool:
-    """Tell whether a face of a body looks into a place in the boundary where there is no body."""
+    """Tell whether a body's face borders a place inside the boundary without bodies."""
     bodies = hosts.near(boundary)
     shells = [boundary, *(hosts.corners[body] for body in bodies)]
     touching = hosts.touching_mm(boundary, bodies)

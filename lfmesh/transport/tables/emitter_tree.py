@@ -1,9 +1,9 @@
-"""Tree of the pieces of emitting facets, by which points choose the piece that they ask: see `lights/many_emitters.py`.
+"""Tree of the pieces of emitting facets, used by points to choose the piece that they ask (`lights/many_emitters.py`).
 
-A node bounds the places and the normals of the pieces below it, and has their power. Each node is parted where the sum
-over both parts of power and squared extent is least, as the tree of lamps is; the extent is that of places and normals
-together (Walter et al., Lightcuts, SIGGRAPH 2005). The pieces of a leaf are drawn by power alone: a leaf of a mesh of
-two million facets holds some thousands of them, so that the tree stays in the cache.
+A node bounds the places and normals of the pieces below it, and holds their power. Like the tree of lamps, it is split
+where the sum over both parts of power times squared extent is least; the extent combines places and normals (Walter et
+al., Lightcuts, SIGGRAPH 2005). The pieces of a leaf are drawn by power alone: for two million facets a leaf holds some
+thousands of pieces, so the tree stays in the cache.
 """
 
 from typing import Any, NamedTuple
@@ -16,20 +16,20 @@ from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 
 FEW = 8
-"""Largest number of facets whose pieces are drawn by power alone: so are those of a sheet with a picture, or a ball."""
+"""Largest number of facets with pieces drawn by power alone, as for a sheet with a picture, or a ball."""
 
 LEAVES = 1 << 10
-"""A node of pieces that are more than this part of all, in number or in power, is parted."""
+"""A node with more than this fraction (1 / `LEAVES`) of all pieces, in number or in power, is split."""
 
 EMITTER_NODE = np.dtype(
     [
         ("middle", "f8", (3,)),  # mm, centre of a sphere that holds the pieces
         ("radius", "f8"),  # mm
         ("axis", "f8", (3,)),  # unit, middle of the normals
-        ("cos_spread", "f8"),  # of the largest angle between that and a normal
+        ("cos_spread", "f8"),  # cosine of the largest angle between the axis and a normal
         ("sin_spread", "f8"),
-        ("power", "f8"),  # share of that of all pieces
-        ("begin", "i8"),  # first of its pieces, and the one after its last
+        ("power", "f8"),  # share of the power of all pieces
+        ("begin", "i8"),  # first piece, and the piece after the last
         ("end", "i8"),
         ("right", "i8"),  # second part; the first is the next node; 0: a leaf
         ("both", "?"),  # some pieces shine on both sides: the axis and normals are lines
@@ -37,16 +37,16 @@ EMITTER_NODE = np.dtype(
 )
 
 MARGIN = 2.0**-20
-"""By how much bounds are wider than the pieces, over their size, and in rad: more than rounding."""
+"""Margin of bounds beyond the pieces, over their size, and in rad; exceeds rounding."""
 
 NORMAL_WEIGHT = 0.125
-"""Distance, over the extent of a node, that parts two pieces as much as normals do at an angle of one radian."""
+"""Distance, over the extent of a node, that separates two pieces as much as one radian between their normals."""
 
 BINS = 16
-"""Number of even pieces of each axis, between which a node may be parted."""
+"""Number of equal bins along each axis; nodes are split between bins."""
 
 DEEPEST = 48
-"""Depth of the tree, from which on nodes are parted in two halves."""
+"""Depth of the tree below which nodes are split into two halves."""
 
 
 @by_address
@@ -55,9 +55,9 @@ class Bounds(NamedTuple):
 
     low: Array  # (n, 3) mm
     high: Array
-    normal: Array  # (n, 3) unit, middle of the normals; 0 where these go all round
-    spread: Array  # (n,) rad, largest angle between that and a normal
-    both: NDArray[np.bool_]  # (n,) it shines on both sides
+    normal: Array  # (n, 3) unit, middle of the normals; 0 if they point all round
+    spread: Array  # (n,) rad, largest angle between the middle and a normal
+    both: NDArray[np.bool_]  # (n,) shines on both sides
     power: Array  # (n,)
 
 
@@ -69,9 +69,9 @@ class Work(NamedTuple):
 
 
 def emitter_tree(bounds: Bounds) -> tuple[NDArray[np.int64], NDArray[np.void]]:
-    """Return the order of pieces in the leaves of their tree, (n,), and its nodes, (nodes,) EMITTER_NODE.
+    """Return the order of pieces in the leaves of their tree, (n,), and the nodes, (nodes,) EMITTER_NODE.
 
-    The root is the first; each is followed by all that are below it.
+    The root comes first; each node is followed by all nodes below it.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def emitter_tree(bounds: Bounds) -> tuple[NDArray[np.int64], NDArray[np.void]]:
         most *= 2
     nodes = nodes[:found].copy()
     leaves = nodes[nodes["right"] == 0]
-    # Neighbours in number are neighbours in place as far as the mesh has them so.
+    # Neighbours in number are neighbours in place as far as in the mesh.
     return order[np.lexsort([order, np.repeat(np.arange(len(leaves)), leaves["end"] - leaves["begin"])])], nodes
 
 
@@ -96,7 +96,7 @@ def emitter_tree(bounds: Bounds) -> tuple[NDArray[np.int64], NDArray[np.void]]:
 def _grow(
     bounds: Bounds, middles: Array, order: NDArray[np.int64], nodes: NDArray[np.void], largest: int, work: Work
 ) -> int:  # fmt: skip
-    """Fill in the nodes of a tree; return their number, 0 if they are too few.
+    """Fill in the nodes of a tree; return their number, 0 if too few.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def _grow(
     nodes : (nodes,) EMITTER_NODE
         Written.
     largest : int
-        Most pieces of a leaf.
+        Largest number of pieces of a leaf.
     work : Work
     """
     waiting, top, count, brightest = work.waiting, 1, 0, 0.0
@@ -175,12 +175,12 @@ def _bound(bounds: Bounds, some: NDArray[np.int64], node: Any) -> None:
 
 @kernel
 def _parted(power: Array, middles: Array, some: NDArray[np.int64], weight: float, bins: Array) -> int:
-    """Sort two or more pieces into two parts; return the number of those in the first, 0 if nothing parts them.
+    """Sort two or more pieces into two parts; return the size of the first, 0 if nothing separates them.
 
     Parameters
     ----------
     weight : float, mm
-        Extent that counts as much as one of normals, 1.
+        Extent that counts as much as an extent of 1 in normals.
     bins : (BINS, 14) float64
         Working memory, see `Work`.
     """
@@ -220,7 +220,7 @@ def _bin_of(value: float, low: float, scale: float) -> int:
 
 @kernel
 def _cost(bins: Array, weight: float) -> float:
-    """Return the cost of a part, power times squared extent of the pieces of some bins; inf: it has none."""
+    """Return the cost of a part: power times squared extent of the pieces in some bins; inf if empty."""
     power, count, extent2 = 0.0, 0.0, 0.0
     for row in bins:
         power, count = power + row[12], count + row[13]

@@ -1,4 +1,4 @@
-"""Scattering models of the facets of a scene: a row for each target or file's material, in each medium round it."""
+"""Scattering models of facets: a row for each target or file material, in each medium around it."""
 
 from typing import NamedTuple
 
@@ -16,22 +16,22 @@ from lfmesh.transport.tables.varied_gloss import VariedGloss, varied_gloss
 
 Rows = NDArray[np.int64]
 Key = tuple[int | GltfMaterial, int]
-"""Target or file's material, and number of a medium."""
+"""Target or file material, and number of a medium."""
 
 
 class FacetModels(NamedTuple):
-    """Scattering models, and which of them each facet has."""
+    """Scattering models, and the model of each facet."""
 
     scattering: ScatteringTables
-    of_facets: Rows  # (m,) row of each facet, in the first of the media round its target
+    of_facets: Rows  # (m,) row of each facet, in the first medium around its target
     in_media: Rows  # (rows, media) row of the same surface in each medium
-    varied: VariedGloss  # gloss that a picture varies, whose first model `of_facets` tells
+    varied: VariedGloss  # gloss that a picture varies; `of_facets` gives its first model
 
 
 def facet_models(
     scene: Scene, targets: list[TargetMesh], hosts: Hosts, wavelengths_nm: tuple[float, ...], reflectances: list[Array]
 ) -> FacetModels:
-    """Return the scattering models of targets and of the materials of their files.
+    """Return the scattering models of targets and of the materials in their files.
 
     The row of a target's own material is the number of the target.
 
@@ -72,15 +72,15 @@ def facet_models(
 
 
 def _in_media(keys: list[Key], indices: Array, count: int) -> Rows:
-    """Return the row of each model in each medium, (count, media): that of the same surface in one of the same index.
+    """Return the row, (count, media), of each model's surface in each medium, equal for media of one index.
 
-    Light that finds a surface in a medium that only touches it, within the distance within which surfaces touch, meets
-    the model of its first medium.
+    Light in a medium that only touches a surface, within the tolerance for contact, meets the model of the surface's
+    first medium.
 
     Parameters
     ----------
     keys : list of Key
-        Of the first rows; the others are asked for in no medium.
+        Of the first rows; the others are used in no medium.
     indices : (media, wavelengths) float64
     count : int
     """

@@ -1,4 +1,4 @@
-"""The rigid moves between the frames of camera, array, objects, sensor and world."""
+"""Rigid moves between the frames of camera, array, objects, sensor and world."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, FRAMES, ML
 
 
 def parts_in_camera(camera: Camera) -> tuple[dict[int, frame.Frame], frame.Frame]:
-    """Return the frames of the parts of a camera, seen from the lens, and the rear frame of the array in its own.
+    """Return the frames of a camera's parts relative to the lens, and of the array's back relative to the array.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def parts_in_camera(camera: Camera) -> tuple[dict[int, frame.Frame], frame.Frame
         face += mla.distance_mm or 0.0
         placed = frame.frame(mla.pose.tilt_deg, np.add([0.0, 0.0, face], mla.pose.shift_mm))
         shift = mla.back.decenter_mm if mla.back is not None else (0.0, 0.0)
-        # What is out of place is the face that `back` describes, which the array's frame may start from.
+        # The shifted face is the one described by `back`; the array's frame may start from it.
         starts_from_back = mla.frame_side != mla.curved_side
         turned = frame.IDENTITY
         if mla.frame_side == "sensor":
@@ -45,7 +45,7 @@ def parts_in_camera(camera: Camera) -> tuple[dict[int, frame.Frame], frame.Frame
 
 
 def frame_table(scene: Scene, middle: Array) -> Array:
-    """Return the moves between all frames, (6, 6, 3, 4): [a, b] takes points of frame a into frame b.
+    """Return the moves between all frames, (6, 6, 3, 4): [a, b] transforms points from frame a to frame b.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def frame_table(scene: Scene, middle: Array) -> Array:
     to_world = [frame.IDENTITY] * FRAMES
     to_world[CAMERA_FRAME] = frame.frame(camera.pose.tilt_deg, camera.pose.shift_mm)
     to_world[OBJECT_FRAME] = frame.frame(origin_mm=middle)
-    # Moves between parts of the camera bypass the world frame, whose origin may be so far away that digits are lost.
+    # Moves between parts of the camera bypass the world frame: its origin may be so far away that digits are lost.
     to_camera, back_to_array = parts_in_camera(camera)
     moves = np.empty((FRAMES, FRAMES, 3, 4))
     for here in range(FRAMES):

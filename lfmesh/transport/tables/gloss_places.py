@@ -1,4 +1,4 @@
-"""Places of glossy targets: a gloss reflects by its index over that of the medium in which light meets it."""
+"""Media around glossy targets: gloss reflects by its index over the index of the surrounding medium."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from lfmesh.transport.tables.tables import AIR, OPAQUE
 
 
 def media_round_gloss(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> list[tuple[int, ...]]:
-    """Return the numbers of the media that the surface of each target is in, one for each index among them.
+    """Return the numbers of the media around each target's surface, one for each index among them.
 
-    A target without gloss scatters alike in all media: its only number is that of the medium that bodies stand in.
+    A target without gloss scatters alike in all media; its only number is `AIR`.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def media_round_gloss(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> 
     Raises
     ------
     SceneError
-        A gloss, or that of a file's materials, has a lower index than a medium that the target reaches into.
+        A gloss, also of a file's materials, has a lower index than a medium that the target reaches into.
     """
     found: list[tuple[int, ...]] = []
     for i, (given, target) in enumerate(zip(scene.targets, targets, strict=True)):
@@ -42,7 +42,7 @@ def media_round_gloss(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> 
 
 
 def _refuse_lower_index(scene: Scene, number: int, target: TargetMesh, hosts: Hosts, body: int | None) -> None:
-    """Refuse a gloss that would reflect light totally: its facets have no table of that."""
+    """Refuse a gloss that would reflect light totally: its facets have no table for that."""
     given = scene.targets[number]
     gloss, most = given.material.gloss, float(hosts.index_of(body).max())
     where = "camera.object_medium" if body is None else hosts.names[body]

@@ -1,7 +1,7 @@
 """The interface table: the kind of each surface between two media, with its parameters.
 
-A new kind is an entry of `tables.KINDS`, its parameters in `_parameters`, and its directions in
-`transport.events.interface`. By this table the sequential engine refuses interfaces that scatter light.
+A new kind needs an entry in `tables.KINDS`, its parameters in `_parameters`, and its directions in
+`transport.events.interface`. The sequential engine uses this table to refuse interfaces that scatter light.
 """
 
 from collections.abc import Sequence
@@ -37,30 +37,30 @@ from lfmesh.transport.tables.tables import (
 )
 
 POLARISER = "polariser"
-"""Name of the polariser before the sensor in the ledger."""
+"""Name of the polariser in front of the sensor in the ledger."""
 
 _SHOWN_DEG = (0.0, 30.0, 60.0)
 
 
 class Face(NamedTuple):
-    """An interface of a scene.
+    """Interface of a scene.
 
     Attributes
     ----------
     where : str
         Path in the scene file.
     body : str
-        What the ledger calls its coating.
+        Name of its coating in the ledger.
     coating : str
         Name of its coating, or "none".
     outer, inner : Medium
-        Media on the side that the layers of its coating begin with, and on the other.
+        Media on the side of its coating's first layer, and on the other.
     finish : Finish
         Of the scene.
     begins_behind : bool
-        Of a lens surface: the side that the layers begin with is the one towards the sensor.
+        The first layer of a lens surface is towards the sensor.
     thin_lens_power_per_mm : float, optional
-        Power of a thin lens, which stands in place of an interface.
+        Power of a thin lens in place of an interface.
     """
 
     where: str
@@ -84,9 +84,9 @@ class InterfaceKind(NamedTuple):
         Number in `tables.KINDS`.
     parameters : (n, wavelengths) float64, or rows of numbers
     pieces : int
-        Of a coating's table.
+        Pieces of a coating's table.
     error : float
-        Of its interpolation.
+        Error of its interpolation.
     """
 
     where: str
@@ -98,17 +98,17 @@ class InterfaceKind(NamedTuple):
 
 @by_address
 class InterfaceTables(NamedTuple):
-    """The interfaces of each region.
+    """Interfaces of each region.
 
     Attributes
     ----------
     lens : Interfaces
-        One row for each refracting surface.
+        One row per refracting surface.
     mla : Interfaces
         `CURVED_ROW` and `FLAT_ROW`.
     objects : Interfaces
-        For each target one row for each medium that may be on its outside, see `tables.body_row`; rows of opaque
-        targets are not used.
+        One row per target and medium that may be on its outside, see `tables.body_row`; rows of opaque targets are not
+        used.
     cover : Interfaces
         Front and rear face of the sensor's cover; none without one.
     """
@@ -122,7 +122,7 @@ class InterfaceTables(NamedTuple):
 def lens_faces(scene: Scene) -> list[Face]:
     """Return the refracting surfaces of the lens.
 
-    Layers of a coating are listed from the air side to the glass, between two glasses from the object to the sensor.
+    Coating layers are listed from air to glass; between glasses, from object to sensor.
     """
     lens = scene.camera.lens
     faces = []
@@ -137,7 +137,7 @@ def lens_faces(scene: Scene) -> list[Face]:
 
 
 def array_faces(scene: Scene) -> list[Face]:
-    """Return the curved and the flat face of the array; bare ones without an array."""
+    """Return the curved and the flat face of the array, bare without an array."""
     mla = scene.camera.mla
     where = [f"camera.mla, its {side} face" for side in ("curved", "flat")]
     if mla is None:
@@ -150,7 +150,7 @@ def array_faces(scene: Scene) -> list[Face]:
 
 
 def cover_faces(scene: Scene) -> list[Face]:
-    """Return the faces of the sensor's cover, the one towards the lens first; none without a cover."""
+    """Return the faces of the sensor's cover, starting towards the lens; none without a cover."""
     cover = scene.camera.sensor.cover
     if cover is None:
         return []
@@ -162,10 +162,9 @@ def cover_faces(scene: Scene) -> list[Face]:
 
 
 def body_faces(scene: Scene, medium: int = AIR) -> list[Face]:
-    """Return the surfaces of the targets with a medium, by its number in object space, on their outside.
+    """Return the surfaces of the targets with a given medium of object space on their outside.
 
-    Bare are those of opaque targets, and those that no such medium can touch: it is neither what bodies stand in nor
-    another body's.
+    They are bare for opaque targets, and if the medium is neither that around bodies nor another body's.
     """
     faces, known = [], MediumList.of(scene)
     surroundings = known.media[known.before_lens]
@@ -185,14 +184,14 @@ def body_faces(scene: Scene, medium: int = AIR) -> list[Face]:
 
 
 def coatings_in_book(scene: Scene) -> list[str]:
-    """Return what the ledger calls the coatings of a scene, one for each coated face or body, and its polariser."""
+    """Return the ledger's names of a scene's coatings, one per coated face or body, and of its polariser."""
     faces = (*lens_faces(scene), *array_faces(scene), *body_faces(scene), *cover_faces(scene))
     polariser = [POLARISER] if scene.camera.polariser_deg is not None else []
     return [*(face.body for face in faces if face.coating != UNCOATED), *polariser]
 
 
 def refused_in_order(scene: Scene) -> str | None:
-    """Describe the first surface of lens or array that the sequential engine cannot trace; None if it can trace all."""
+    """Describe the first surface that the sequential engine cannot trace; None if it can trace all."""
     array = array_faces(scene) if scene.camera.mla is not None else ()
     faces = (*lens_faces(scene), *array, *cover_faces(scene))
     wavelengths_nm = Lines.of(scene).wavelengths_nm
@@ -204,14 +203,14 @@ def refused_in_order(scene: Scene) -> str | None:
 
 
 def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...], book: Book | None = None) -> InterfaceTables:
-    """Return the interfaces of lens, array and object space.
+    """Return the interfaces of lens, array, object space and cover.
 
     Parameters
     ----------
     scene : Scene
     wavelengths_nm : tuple of float
     book : Book, optional
-        Tells where the light that coatings absorb is entered; needed to trace packets.
+        For light absorbed in coatings; needed to trace packets.
 
     Raises
     ------
@@ -233,7 +232,7 @@ def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...], book: Book
 
 
 def coating_errors(scene: Scene) -> dict[str, float]:
-    """Return the largest error of interpolation of each coating that a scene uses, over its faces, by its name."""
+    """Return the largest interpolation error of each coating in use, by name."""
     errors: dict[str, float] = {}
     wavelengths_nm = Lines.of(scene).wavelengths_nm
     for faces in faces_of_regions(scene):
@@ -244,9 +243,9 @@ def coating_errors(scene: Scene) -> dict[str, float]:
 
 
 def coating_lines(scene: Scene) -> list[str]:
-    """Describe the coatings of a solved scene, a line for each face: what it reflects, and passes if it absorbs.
+    """Describe the coatings of a solved scene, one line per face: reflectance and, if absorbing, transmittance.
 
-    Shares are those at the primary wavelength, from the thinner of the two media and by the angle there.
+    Shares are for the primary wavelength, from the medium of lower index and by the angle there.
     """
     wavelengths_nm, colour = _shown_nm(scene)
     mla = array_faces(scene) if scene.camera.mla is not None else []
@@ -266,21 +265,21 @@ def coating_lines(scene: Scene) -> list[str]:
 
 
 def _by_angle(finish: InterfaceKind, quantity: int, colour: int) -> str:
-    """Describe a quantity of a coating's table, see `optics.share_table`, at some angles."""
+    """Describe a quantity of a coating's table (`optics.share_table`) at some angles."""
     values, first = np.asarray(finish.parameters), quantity * TERMS * finish.pieces
     shown = [looked_up(values, first, finish.pieces, colour, np.sqrt(np.cos(np.radians(a)))) for a in _SHOWN_DEG]
     return ", ".join(f"{100.0 * share:.3g} % at {a:g}" for share, a in zip(shown, _SHOWN_DEG, strict=True)) + " degrees"
 
 
 def _shown_nm(scene: Scene) -> tuple[tuple[float, ...], int]:
-    """Return the wavelengths that faces are described at, and the number of the primary one."""
-    # Of bands, all but the primary wavelength are random.
+    """Return the wavelengths to describe faces, and the number of the primary one."""
+    # With bands, all wavelengths but the primary one are random.
     wavelengths_nm = scene.transport.wavelengths_nm if scene.camera.sensor.bands is None else (scene.primary_nm,)
     return wavelengths_nm, wavelengths_nm.index(scene.primary_nm)
 
 
 def finish_lines(scene: Scene) -> list[str]:
-    """Describe the rough faces of a solved scene, a line for each; what a diffuse one reflects, from both sides."""
+    """Describe the rough faces of a solved scene, one line each; for diffuse ones, the reflectance from each side."""
     wavelengths_nm, colour = _shown_nm(scene)
     mla = array_faces(scene) if scene.camera.mla is not None else []
     lines = []
@@ -302,7 +301,7 @@ def finish_lines(scene: Scene) -> list[str]:
 
 
 def faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face], list[Face]]:
-    """Return the faces of lens, array, object space and sensor cover, in the order of their rows in the tables."""
+    """Return the faces of lens, array, object space and sensor cover, in the order of their rows."""
     by_medium = [body_faces(scene, medium) for medium in range(len(MediumList.of(scene).media))]
     bodies = [faces[i] for i in range(len(scene.targets)) for faces in by_medium]
     return lens_faces(scene), array_faces(scene), bodies, cover_faces(scene)
@@ -318,13 +317,13 @@ def _kind_of(scene: Scene, face: Face, wavelengths_nm: Sequence[float]) -> int:
         return THIN_LENS
     if face.finish.is_rough:
         kind = KINDS.index(face.finish.kind)
-        # Facets between equal indices do nothing; a diffuse face scatters what it transmits all the same.
+        # Facets between equal indices do nothing; a diffuse face still scatters transmitted light.
         matched = all(n_outer == n_inner for n_outer, n_inner in _indices(face, wavelengths_nm))
         return BARE if kind == GROUND and matched else kind
     if face.coating == UNCOATED:
         return BARE
     if scene.transport.polarisation:
-        # What layers take from polarised packets depends on their state, see `tables.polarisation`.
+        # Absorption of polarised packets in layers depends on their state, see `tables.polarisation`.
         return COATED
     return ABSORBING if absorbs(scene, face.coating, wavelengths_nm) else COATED
 
@@ -359,7 +358,7 @@ def _indices(face: Face, wavelengths_nm: Sequence[float]) -> list[tuple[float, f
 
 
 def _table(finishes: list[InterfaceKind], slots: list[int], colours: int) -> Interfaces:
-    """Return interfaces as kernels read them."""
+    """Return the table of interfaces for kernels."""
     rows = np.zeros(len(finishes), INTERFACE)
     rows["kind"] = [finish.kind for finish in finishes]
     rows["pieces"] = [finish.pieces for finish in finishes]

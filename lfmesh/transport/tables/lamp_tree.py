@@ -1,12 +1,12 @@
-"""Tree of the lamps of a scene, by which points choose the lamps that they ask (see `lights/many_lamps.py`).
+"""Tree of the lamps of a scene, used by points to choose the lamps that they ask (see `lights/many_lamps.py`).
 
-A node bounds the places, the directions and the power of the lamps below it, as in pbrt's `BVHLightSampler` (Pharr,
-Jakob & Humphreys, Physically Based Rendering, 4th edition, 12.6.3). Each node is parted where the sum over both parts
-of power, solid angle of the light and squared extent is least (Conty Estevez & Kulla, Importance sampling of many
-lights with adaptive tree splitting, HPG 2018); places and directions are tried alike, so that lamps in one place are
-parted by their directions. Parallel light has no place, and a tree of its own behind that of the lamps.
+A node bounds the places, directions and power of the lamps below it, as in pbrt's `BVHLightSampler` (Pharr, Jakob &
+Humphreys, Physically Based Rendering, 4th edition, 12.6.3). It is split where the sum over both parts of power · solid
+angle of the light · squared extent is least (Conty Estevez & Kulla, Importance sampling of many lights with adaptive
+tree splitting, HPG 2018). Splits by place and by direction are tried, so lamps in one place are split by direction.
+Parallel light has its own tree, after the tree of the lamps.
 
-Where lamps are few, each is asked from each point, and the tree is the list of them.
+A few lamps are all asked from each point, and the tree is a plain list.
 """
 
 from typing import Any
@@ -19,36 +19,36 @@ from lfmesh.kernels.decorators import inlined, kernel
 Array = NDArray[np.float64]
 
 MOST_ASKED = 8
-"""Largest number of lamps that a point asks; where there are no more of them, it asks them all."""
+"""Largest number of lamps that a point asks; it asks all if there are no more."""
 
 LAMP_NODE = np.dtype(
     [
         ("middle", "f8", (3,)),  # mm, centre of a sphere that holds the lamps
         ("radius", "f8"),  # mm
         ("axis", "f8", (3,)),  # unit, middle of the lamps' axes
-        ("cos_spread", "f8"),  # of the largest angle between that and an axis
+        ("cos_spread", "f8"),  # cosine of the largest angle between the middle and an axis
         ("sin_spread", "f8"),
-        ("cos_reach", "f8"),  # of the largest angle between a lamp's axis and its light
+        ("cos_reach", "f8"),  # cosine of the largest angle between a lamp's axis and its light
         ("outer", "f8"),  # 1 − cos of the sum of both angles; 2: light goes all round
-        ("per_sr", "f8"),  # 1/sr, mean intensity within that angle over the power; of those that fade along the axis
-        ("fades", "?"),  # the intensity of all of them falls as the cosine of the angle from their axes
+        ("per_sr", "f8"),  # 1/sr, mean intensity within that angle over the power; for fading lamps, along the axis
+        ("fades", "?"),  # the intensity of all lamps falls as the cosine of the angle from their axes
         ("placed", "?"),  # lamps; else parallel light
-        ("lamp", "i8"),  # number of the only lamp; −1: there are more, in two parts
-        ("skip", "i8"),  # node behind all that are below; the second part is where the next node, the first, skips to
+        ("lamp", "i8"),  # number of the only lamp; −1: several, in two parts
+        ("skip", "i8"),  # node after all nodes below; the first part is the next node, and its `skip` is the second
     ]
 )
 
 MARGIN = 2.0**-20
-"""By how much bounds are wider than the lamps, over their extent, and in rad: more than rounding."""
+"""Margin of bounds beyond the lamps, over their extent, and in rad; exceeds rounding."""
 
 GRAIN = 2.0**-40
-"""The same over the distance from the origin."""
+"""The same margin over the distance from the origin."""
 
 BINS = 16
-"""Number of even pieces of each axis, between which a node may be parted."""
+"""Number of equal bins along each axis; nodes are split between bins."""
 
 X, Y, Z, SIZE, AXIS_X, AXIS_Y, AXIS_Z, REACH, POWER, FADES, PLACED = range(11)
-"""Columns of the facts of lamps: those by which nodes may be parted are the places and the axes."""
+"""Columns of the facts of lamps; nodes may be split by the columns of places and axes."""
 
 LOW, HIGH, AXES, WIDEST, WHOLE, COUNT = 0, 3, 6, 9, 10, 11
 """Columns of the facts of bins: corners of the box, sum of the axes, widest reach, power, number of lamps."""
@@ -61,14 +61,14 @@ def lamp_tree(rows: NDArray[np.void], powers: Array) -> tuple[NDArray[np.void], 
     ----------
     rows : (lamps,) LIGHT
     powers : (lamps, wavelengths) float64, W
-        Of parallel light W/m².
+        For parallel light W/m².
 
     Returns
     -------
     nodes : (nodes,) LAMP_NODE
-        Each followed by all that are below it.
+        Each followed by all nodes below it.
     power : (nodes, wavelengths) float64
-        Of all lamps of each node.
+        Power of all lamps of each node.
     leaf : (lamps,) int64
         Node of each lamp.
     """
@@ -103,13 +103,13 @@ def _grow(
     ----------
     facts : (lamps, facts) float64
     order : (n,) int64
-        Lamps of the tree; written: in the order of its leaves.
+        Lamps of the tree; written in the order of its leaves.
     first : int
         Number of its root.
     nodes : (nodes,) LAMP_NODE
         Written.
     waiting : (n + 1, 3) int64
-        Working memory: nodes, and where their lamps begin and end.
+        Working memory: nodes, and begin and end of their lamps.
     bins : (BINS, facts of bins) float64
         Working memory.
     """
@@ -177,18 +177,18 @@ def _bound(facts: Array, some: NDArray[np.int64], node: Any) -> None:
 
 @inlined
 def _height(angle: float) -> float:
-    """Return 1 − cos of an angle, rad, with the digits of a small one."""
+    """Return 1 − cos of an angle, rad, without cancellation."""
     return 2.0 * np.sin(0.5 * angle) ** 2
 
 
 @kernel
 def _parted(facts: Array, some: NDArray[np.int64], floor: float, bins: Array) -> int:
-    """Sort two or more lamps into two parts; return the number of those in the first.
+    """Sort two or more lamps into two parts; return the size of the first.
 
     Parameters
     ----------
     floor : float, mm²
-        Least squared extent, so that lamps in one place are parted by their directions.
+        Least squared extent, so that lamps in one place are split by their directions.
     """
     best, where, edge = np.inf, -1, 0
     for column in range(X, AXIS_Z + 1):
@@ -216,7 +216,7 @@ def _parted(facts: Array, some: NDArray[np.int64], floor: float, bins: Array) ->
 
 @inlined
 def _scale(facts: Array, some: NDArray[np.int64], column: int) -> tuple[float, float]:
-    """Return the least value of a column, and the bins for each of its units; 0: all values are the same."""
+    """Return the least value of a column, and the bins per unit; 0: all values are equal."""
     low, high = np.inf, -np.inf
     for lamp in some:
         low, high = min(low, facts[lamp, column]), max(high, facts[lamp, column])
@@ -231,7 +231,7 @@ def _bin_of(value: float, low: float, scale: float) -> int:
 
 @kernel
 def _fill_bins(facts: Array, some: NDArray[np.int64], column: int, low: float, scale: float, bins: Array) -> None:
-    """Fill in what the lamps of each bin have in common."""
+    """Fill in the facts of the lamps in each bin."""
     bins[:] = 0.0
     bins[:, LOW : LOW + 3], bins[:, HIGH : HIGH + 3] = np.inf, -np.inf
     for lamp in some:
@@ -247,9 +247,9 @@ def _fill_bins(facts: Array, some: NDArray[np.int64], column: int, low: float, s
 
 @kernel
 def _cost(bins: Array, floor: float) -> float:
-    """Return the cost of a part: power, solid angle and squared extent of the lamps of some bins; inf: it has none.
+    """Return the cost of a part: power · solid angle · squared extent of the lamps in some bins; inf if empty.
 
-    Axes that fill a cone evenly, up to an angle θ, have a mean of length (1 + cos θ) / 2.
+    Axes that fill a cone evenly up to an angle θ have a mean of length (1 + cos θ) / 2.
     """
     power, count, reach, extent2, axes2 = 0.0, 0.0, 0.0, 0.0, 0.0
     for axis in range(3):
@@ -268,7 +268,7 @@ def _cost(bins: Array, floor: float) -> float:
 
 @kernel
 def _add_up(nodes: NDArray[np.void], powers: Array, power: Array, leaf: NDArray[np.int64]) -> None:
-    """Fill in the power of each node, as the sum of its two parts, and the node of each lamp."""
+    """Fill in the power of each node, and the node of each lamp."""
     for number in range(len(nodes) - 1, -1, -1):
         lamp, right = nodes[number].lamp, 0
         if lamp >= 0:

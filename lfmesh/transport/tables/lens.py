@@ -1,4 +1,4 @@
-"""Tables of lens and array as kernels read them: surfaces, facets, media."""
+"""Tables of lens and array for kernels: surfaces, facets, media."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,16 +47,16 @@ from lfmesh.transport.tables.tables import (
 )
 
 SLOPE_WITHIN = 0.01
-"""Largest distance of the bound of a surface's slope from its largest slope, over that."""
+"""Relative excess, at most, of the bound of a surface's slope over its largest slope."""
 
 NO_CELLS = np.empty((0, 2), np.float32)
-"""In place of the table of a hexagon's cells."""
+"""Placeholder for the table of a hexagon's cells."""
 
 LEAST_LEVER = 0.2
-"""Least slope behind an array with two faces, over that before it, from which `Apertures.lever` is computed."""
+"""Least slope behind an array with two faces, over the slope before it, for the computation of `Apertures.lever`."""
 
 STEEPER = 1e-9
-"""Margin, in dz, of rays that are steeper than a surface."""
+"""Margin in dz for rays steeper than a surface."""
 
 
 def lens_tables(
@@ -67,7 +67,7 @@ def lens_tables(
     interfaces: Interfaces,
     known: MediumList,
 ) -> tuple[Mesh, LensTables]:
-    """Return the facets of the lens as one mesh, for Embree, and the tables of the lens.
+    """Return the facets of the lens as one mesh for Embree, and its tables.
 
     Parameters
     ----------
@@ -76,9 +76,8 @@ def lens_tables(
     wavelengths_nm : (wavelengths,) tuple of float
     book : Book
     interfaces : Interfaces
-        One row for each refracting surface.
+        One row per refracting surface.
     known : MediumList
-        The media of the scene.
     """
     count = len(shape.caps)
     mesh = joined([*shape.caps, *shape.closures])
@@ -91,11 +90,11 @@ def lens_tables(
     stop_space, stop_z, stop_radius, stop_pose = _pure_stop(scene, shape)
     facets = facet_table(mesh, bodies.astype(np.int64))
     patches_, across = curved(bool((shape.surfaces["level"] == PATCH).any()), mesh)
-    # Rings have negative numbers, and the last entry.
+    # Rings have negative numbers, and use the last entry.
     of_patches = np.append(shape.surfaces["level"] == PATCH, False)[np.maximum(facets["body"], -1)]
     bulges = control_points(patches_[of_patches]).reshape(-1, 3) if len(patches_) else np.zeros((0, 3))
     caps = np.concatenate([outermost(shape), bulges])
-    # Larger by a rounding error, so that a flat surface, too, has a box that rays can enter.
+    # Larger by a rounding error, so that even a flat surface has a box that rays can enter.
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
     medium = np.array([known.before_lens, *(known.in_camera(each) for each in shape.media[1:])])
@@ -130,10 +129,10 @@ def lens_tables(
 
 
 def outermost(shape: LensShape) -> Array:
-    """Return points (n, 3), camera frame, mm, whose box holds all exact and flat surfaces of a lens.
+    """Return points (n, 3), camera frame, mm, that bound all exact and flat surfaces of a lens.
 
-    A conic without a pose is outermost at its vertex or its rim, which are vertices of its mesh. Of other exact
-    surfaces boxes are computed.
+    A conic without a pose is outermost at vertices of its mesh (vertex or rim). For other exact surfaces boxes are
+    computed.
 
     Parameters
     ----------
@@ -148,7 +147,7 @@ def outermost(shape: LensShape) -> Array:
 
 
 def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return what bounds each space of the lens, for rays that are traced without its mesh.
+    """Return the bounds of each space of the lens, for rays traced without its mesh.
 
     Parameters
     ----------
@@ -157,18 +156,17 @@ def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[n
     Returns
     -------
     order : (K + 1, 12) float64
-        Of the surface towards the object and then of the one towards the sensor: curvature, 1 + conic constant, z of
-        the vertex, squared radius of the aperture; NaN where there is no such surface. Then the squared radius of a
-        cylinder about the axis that the ring of the space does not enter: a straight line between two points in it
-        does not meet the ring. Then the |dz| above which a ray crosses each surface of the space at most once, and in
-        the sense of dz, so that it can only meet the one ahead; inf: no ray is known to. Last, that |dz| of the surface
-        towards the object alone, and of the one towards the sensor.
+        Columns 0 to 3: curvature, 1 + conic constant, z of the vertex and squared radius of the aperture for the
+        surface towards the object; NaN without such a surface. Columns 4 to 7: the same for the surface towards the
+        sensor. Column 8: squared radius of a cylinder about the axis, clear of the space's ring; a straight line
+        between two points in it does not meet the ring. Column 9: |dz| above which a ray crosses each surface of the
+        space at most once, and in the sense of dz, so that it can only meet the surface ahead; inf: unknown. Columns 10
+        and 11: the same |dz| for the surface towards the object, and towards the sensor.
     by_roots : (K + 1,) bool
-        Whether the surfaces of the space are exact conics without a pose, so that their roots decide which a ray meets
-        first.
+        The surfaces of the space are exact conics without a pose, so that their roots decide the first hit.
     ordered : (K + 1,) bool
-        Whether the surface that a ray meets first is known without the mesh for some rays at least: those steeper than
-        the surfaces and, between conics, those that their roots decide.
+        The first hit of some rays is known without the mesh: of rays steeper than the surfaces and, between conics, of
+        rays decided by the roots.
     """
     count, surfaces = len(shape.caps), shape.surfaces
     conic = (surfaces["level"] == EXACT) & (surfaces["terms"] == 0)
@@ -188,14 +186,14 @@ def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[n
 
 
 def _everywhere(holds: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return for each space whether something holds for all its surfaces, (K + 1,)."""
+    """Return whether a property of surfaces holds for all surfaces of each space, (K + 1,)."""
     return np.append(True, holds) & np.append(holds, True)
 
 
 def _free_radius(ring: Mesh, rim: float) -> float:
-    """Return the radius of the largest cylinder about the z axis that a ring round the axis does not enter, mm.
+    """Return the radius, mm, of the largest cylinder about the z axis inside a ring around it.
 
-    Where the surfaces meet at their rims there is no ring, and the space ends at the smaller `rim`.
+    If the surfaces meet at their rims there is no ring; the space ends at the smaller `rim`.
     """
     if not len(ring.faces):
         return rim
@@ -207,18 +205,16 @@ def _free_radius(ring: Mesh, rim: float) -> float:
 
 
 def least_dz(surface: np.void, rim: float) -> float:
-    """Return the |dz| above which a ray is steeper than a surface is anywhere inside its rim; inf: there is none.
+    """Return the |dz| above which a ray is steeper than a surface everywhere inside its rim; inf: none.
 
-    Blocks of rays that are traced so know conics and even terms alone.
-
-    Such a ray runs to one side of the surface only, whose height it changes in one sense. In the camera frame: the
-    tilt of the surface is added to its slope.
+    Only for conics and even terms. Along such a ray the height over the surface changes in one sense only. In the
+    camera frame: the tilt of the surface is added to its slope.
 
     Parameters
     ----------
     surface : SURFACE record
     rim : float, mm
-        Radius that its mesh reaches.
+        Radius of its mesh.
     """
     if surface["level"] != EXACT or surface["kind"] != CONIC_AND_EVEN:
         return np.inf
@@ -230,7 +226,7 @@ def least_dz(surface: np.void, rim: float) -> float:
 
 
 def steepest_slope(surface: np.void, rim: float) -> float:
-    """Return an upper bound of the slope |dz/dr| of a surface inside a radius; inf where the surface ends before.
+    """Return an upper bound of a surface's slope |dz/dr| inside a radius; inf if the surface ends before.
 
     Parameters
     ----------
@@ -245,7 +241,7 @@ def steepest_slope(surface: np.void, rim: float) -> float:
 
 
 def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float, frame.Frame]:
-    """Return space, z, radius (mm) and pose of a stop that is not a refracting surface; space −1 if there is none."""
+    """Return space, z, radius (mm) and pose of a stop that is not a refracting surface; space −1 without one."""
     prescription = scene.camera.lens
     for i, s in enumerate(prescription.surfaces):
         if prescription.is_pure_stop(i):
@@ -260,7 +256,7 @@ def mla_tables(
 ) -> tuple[dict[int, Mesh], MlaTables]:  # fmt: skip
     """Return the meshes of cells for Embree, by station, and the tables of the array.
 
-    A mesh has one cell for each lenslet type, side by side; an array with lenslets on both faces has two meshes.
+    A mesh has one cell per lenslet type, side by side. An array with lenslets on both faces has two meshes.
 
     Parameters
     ----------
@@ -269,9 +265,8 @@ def mla_tables(
     interfaces : Interfaces
         `CURVED_ROW` and `FLAT_ROW`.
     known : MediumList
-        The media of the scene.
     book : Book, optional
-        Without it, the array is clear.
+        Without it, the array does not absorb.
     """
     mla = scene.camera.mla
     medium = known.in_camera(mla.medium) if mla is not None else AIR
@@ -297,7 +292,7 @@ def mla_tables(
 
 
 def with_diffraction(scene: Scene, mla: MlaTables, wavelengths_nm: tuple[float, ...]) -> MlaTables:
-    """Return the tables of the array with its apertures, where the scene asks for the lenslets' diffraction.
+    """Add apertures to the array's tables if the scene asks for diffraction at the lenslets.
 
     Parameters
     ----------
@@ -319,14 +314,14 @@ def with_diffraction(scene: Scene, mla: MlaTables, wavelengths_nm: tuple[float, 
     axis = given.cylinder_axis if face.row == CURVED_ROW or given.back is None else given.back.cylinder_axis
     spread = np.outer(np.array(wavelengths_nm) * 1e-6, [float(axis != each) for each in "xy"]) / width
     cells = hexagon_cells() if shape == HEXAGON else NO_CELLS
-    # Those of the cover, and until a packet has left lenslets that look to the lens; others diffract it before.
+    # Interfaces of the cover and, for lenslets that face the lens, of the array; others diffract a packet before.
     events = _events_in_cover(scene) + (FACES_OF_ARRAY if face.curved_to_lens else 0)
     apertures = Apertures(shape, spread, quantiles, cells, int(face.row), bool(face.curved_to_lens), events, lever)
     return with_media(mla, mla.media, apertures=apertures)
 
 
 def with_diffracting_stop(scene: Scene, lens: LensTables, wavelengths_nm: tuple[float, ...]) -> LensTables:
-    """Return the tables of the lens with the aperture of its stop, where the scene asks for its diffraction.
+    """Add the stop's aperture to the lens's tables if the scene asks for its diffraction.
 
     Parameters
     ----------
@@ -347,15 +342,14 @@ def with_diffracting_stop(scene: Scene, lens: LensTables, wavelengths_nm: tuple[
 
 
 def _events_in_cover(scene: Scene) -> int:
-    """Return the number of interfaces that light from a pixel meets in the sensor's cover."""
+    """Return the number of interfaces in the sensor's cover."""
     return 0 if scene.camera.sensor.cover is None else FACES_OF_COVER
 
 
 def _limiting_face(given: MicrolensArray, mla: MlaTables, colour: int) -> tuple[MlaTables, float]:
-    """Return the face whose apertures limit light, where it is diffracted, and the lever of `Apertures`.
+    """Return the face with the limiting apertures, which diffract, and the lever of `Apertures`.
 
-    Of two faces with lenslets it is the one that is the smaller as light along the axis meets it: paraxial, with the
-    mean curvature of each.
+    Of two faces with lenslets it is the smaller one for light along the axis (paraxial, with mean curvatures).
 
     Parameters
     ----------
@@ -400,7 +394,7 @@ def curved_lenslets(mla: MicrolensArray) -> Lenslets:
 
 
 def back_lenslets(mla: MicrolensArray, front: Lenslets) -> Lenslets:
-    """Return the lenslets of the face opposite the curved one.
+    """Return the lenslets of the face opposite the curved face.
 
     Raises
     ------
@@ -427,7 +421,7 @@ def back_lenslets(mla: MicrolensArray, front: Lenslets) -> Lenslets:
 
 
 def _cells_side_by_side(shapes: Lenslets) -> Mesh:
-    """Return one cell for each lenslet type as one mesh."""
+    """Return one cell per lenslet type, joined in one mesh."""
     shift = OFFSET * shapes.lattice.pitch
     cells = [cell_mesh(shapes, kind) for kind in range(len(shapes.curvature))]
     return joined(
@@ -439,7 +433,7 @@ def _cells(
     is_curved: bool, present: bool, shapes: Lenslets, mesh: Mesh, shift: float, media: Media, medium: int,
     interfaces: Interfaces, curved_to_lens: bool,
 ) -> MlaTables:  # fmt: skip
-    """Return the tables of the face of an array that `camera.mla` describes."""
+    """Return the tables of the array's face described by `camera.mla`."""
     facets = facet_table(mesh, np.zeros(len(mesh.faces), np.int64))
     patches_, across = curved(is_curved, mesh)
     return MlaTables(
@@ -463,7 +457,7 @@ def _cells(
 
 
 def curved(needed: bool, mesh: Mesh) -> tuple[Array, NDArray[np.int64]]:
-    """Return the curved patches of a mesh and their neighbours; empty tables where they are not needed."""
+    """Return the curved patches of a mesh and their neighbours; empty if not needed."""
     if not needed or mesh.corner_normals is None:
         return np.zeros((0, 6, 3)), np.zeros((0, 3), np.int64)
     return patches(mesh.vertices[mesh.faces], mesh.corner_normals), neighbours(mesh.faces, mesh.corner_normals)

@@ -1,7 +1,7 @@
-"""The table of lights as kernels read it: a row of properties for each, by which they are asked, whatever they are.
+"""Table of lights for kernels: one row of properties per light, whatever its type.
 
-The law of a lamp's intensity is a number that only `transport/lights/intensity.py` reads, the shape of the region that
-it shines from one that only `transport/lights/places.py` reads.
+Only `transport/lights/intensity.py` reads the number of a lamp's law of intensity; only `transport/lights/places.py`
+reads the number of its shape.
 """
 
 from pathlib import Path
@@ -25,22 +25,22 @@ Array = NDArray[np.float64]
 LIGHT = np.dtype(
     [
         ("emission", "i8"),  # law of the intensity; asked by `transport/lights/intensity.py` alone
-        ("shape", "i8"),  # of the region that it shines from; asked by `transport/lights/places.py` alone
+        ("shape", "i8"),  # shape of the emitting region; asked by `transport/lights/places.py` alone
         ("position", "f8", (3,)),  # mm, middle of the region
         ("direction", "f8", (3,)),  # unit axis, along which the light travels; a profile's vertical angle 0
         ("across", "f8", (2, 3)),  # unit axes of the region, and a profile's horizontal angles 0 and 90 degrees
         ("half", "f8", (2,)),  # mm, half of the region's extent along these axes
-        ("area", "f8"),  # mm², of a region that has one
-        ("size", "f8"),  # mm, radius of a sphere round the middle that holds the region; 0: a point, or no place
-        ("spine", "f8", (3,)),  # mm, half a segment round the middle that all of the region is near to
-        ("thickness", "f8"),  # mm, how near
+        ("area", "f8"),  # mm², area of the region, if any
+        ("size", "f8"),  # mm, radius of a sphere around the middle that holds the region; 0: a point, or no place
+        ("spine", "f8", (3,)),  # mm, half of a segment about the middle; all of the region is near it
+        ("thickness", "f8"),  # mm, largest distance of the region from the segment
         ("power", "f8"),  # W; directional: irradiance in W/m²
         ("peak", "f8"),  # W/sr, largest intensity
-        ("gain", "f8"),  # that over the mean intensity of all directions
+        ("gain", "f8"),  # peak over the mean intensity of all directions
         ("inner", "f8"),  # CONE: 1 − cos of the angle at which the soft edge begins
         ("outer", "f8"),  # 1 − cos of the angle from the axis beyond which nothing shines; 2: all round
         ("profile", "i8"),  # PROFILED: number of the profile
-        ("placed", "?"),  # it is somewhere; else it is parallel light
+        ("placed", "?"),  # it has a position; else it is parallel light
         ("fades", "?"),  # its intensity falls as the cosine of the angle from the axis
     ]
 )
@@ -59,22 +59,22 @@ MM2 = 1e-6
 class Profiles(NamedTuple):
     """Angular profiles of lights: intensities over the power, linear between the angles (see `LightProfile`)."""
 
-    rows: NDArray[np.int64]  # (n, 5): first vertical angle, their number, the same of horizontal ones, first intensity
-    angles: Array  # rad, of all
-    intensity: Array  # 1/sr, of all: horizontal angle by horizontal angle
-    until: Array  # as `intensity`: up to which random number a cell is drawn, see `drawn_from_profile`
+    rows: NDArray[np.int64]  # (n, 5): first vertical angle, their number, the same for horizontal ones, first intensity
+    angles: Array  # rad, of all profiles
+    intensity: Array  # 1/sr, of all profiles: horizontal angle by horizontal angle
+    until: Array  # as `intensity`: largest random number that draws a cell, see `drawn_by_intensity`
 
 
 @by_address
 class Lamps(NamedTuple):
-    """The lights of a scene, and the tree by which points choose those that they ask (see `tables.lamp_tree`)."""
+    """Lights of a scene, and the tree for the choice of lights at a point (see `tables.lamp_tree`)."""
 
     rows: NDArray[np.void]  # (lamps,) LIGHT, with the largest power at any wavelength
-    spectra: Array  # (lamps, wavelengths) power at each wavelength relative to that
+    spectra: Array  # (lamps, wavelengths) power at each wavelength relative to the largest
     profiles: Profiles
     nodes: NDArray[np.void]  # (nodes,) LAMP_NODE
-    power: Array  # (nodes, wavelengths) W; of parallel light W/m²
-    leaf: NDArray[np.int64]  # (lamps,) node of each
+    power: Array  # (nodes, wavelengths) W; for parallel light W/m²
+    leaf: NDArray[np.int64]  # (lamps,) node of each lamp
 
 
 def light_tables(scene: Scene, to_object: Array, lines: Lines) -> Lamps:
@@ -84,7 +84,7 @@ def light_tables(scene: Scene, to_object: Array, lines: Lines) -> Lamps:
     ----------
     scene : Scene
     to_object : (3, 4) float64
-        Move from the world frame into the object frame.
+        From the world frame into the object frame.
     lines : Lines
 
     Raises
@@ -116,7 +116,7 @@ def light_tables(scene: Scene, to_object: Array, lines: Lines) -> Lamps:
 
 
 def _set_region(row: Any, region: Region | None, to_object: Array) -> None:
-    """Fill in where a lamp is, and bounds of that."""
+    """Fill in the place of a lamp, and its bounds."""
     if region is None:
         return
     row["placed"] = True
@@ -133,10 +133,10 @@ def _set_region(row: Any, region: Region | None, to_object: Array) -> None:
 
 
 def _set_emission(row: Any, light: Light, profiles: list[LightProfile]) -> None:
-    """Fill in how a lamp spreads its light over the directions; the number of its profile is known."""
+    """Fill in the angular distribution of a lamp; the number of its profile is already set."""
     row["emission"] = LAWS[light.emission]
     row["outer"] = _height(light.spread_deg)
-    solid_angle = 4.0 * np.pi  # that the whole power would fill at the largest intensity
+    solid_angle = 4.0 * np.pi  # filled by the whole power at the largest intensity
     if light.emission == "profile":
         profile = profiles[row["profile"]]
         lit = np.flatnonzero(profile.intensity.any(axis=0))
@@ -154,7 +154,7 @@ def _set_emission(row: Any, light: Light, profiles: list[LightProfile]) -> None:
 
 
 def _height(angle_deg: float) -> float:
-    """Return 1 − cos of an angle, without the digits that the difference would lose in a narrow cone."""
+    """Return 1 − cos of an angle without cancellation."""
     return float(2.0 * np.sin(0.5 * np.deg2rad(angle_deg)) ** 2)
 
 
@@ -166,7 +166,7 @@ def _profile_tables(profiles: list[LightProfile]) -> Profiles:
         rows.append((first, v, first + v, h, value))
         angles += [profile.vertical, profile.horizontal]
         intensity.append(profile.intensity.ravel())
-        # As long as the intensities; the cells fill its beginning.
+        # As long as the intensities; only the first entries are cells.
         cells = np.cumsum(profile.shares().ravel())
         until.append(np.concatenate([cells / cells[-1], np.ones(h * v - len(cells))]))
         first, value = first + v + h, value + h * v
@@ -175,12 +175,12 @@ def _profile_tables(profiles: list[LightProfile]) -> Profiles:
 
 
 def power_towards(light: Any, middle: Array, radius: float) -> tuple[float, float]:
-    """Return the most power that a light may send towards a sphere, and its whole power, W.
+    """Return an upper bound of a light's power towards a sphere, and its whole power, W.
 
     Parameters
     ----------
     light : LIGHT
-        A row of the table. For directional light both are the power through the sphere.
+        For directional light both results are the power through the sphere.
     middle : (3,) float64, mm
         Centre of the sphere.
     radius : float, mm

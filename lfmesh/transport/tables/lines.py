@@ -1,13 +1,13 @@
-"""The wavelengths, lines for short, at which a scene is traced: the columns of all tables by wavelength.
+"""Wavelengths ("lines") at which a scene is traced: the columns of all spectral tables.
 
 Without bands each wavelength of the scene is a line and a channel of the image. A band is divided into strata, each
-with a line at the centroid of the response within it. Every sample takes one of a band's lines, each with the chance of
-its share of the response: samples of a pixel evenly over the band, with an offset of the pixel's own. So pixels are
-independent, and a pixel's error holds the noise of its wavelengths.
+with a line at the centroid of the response within it. Every sample takes one of a band's lines, with a chance equal to
+the line's share of the response; the samples of a pixel cover the band evenly, with the pixel's own offset. So pixels
+are independent, and a pixel's error includes the noise of its wavelengths.
 
-The lines do not depend on the seed. What a scene has in place of the integral over a band is a sum over its lines: of
-light the mean over each stratum, of all else the value at its line. That sum is right to second order in the width of
-the strata; such a rule errs least if the density of lines goes as the cube root of the response.
+The lines do not depend on the seed. The integral over a band becomes a sum over its lines: for light of the mean over
+each stratum, for everything else of the value at its line. The sum is right to second order in the width of the strata;
+its error is smallest if the density of lines follows the cube root of the response.
 """
 
 from dataclasses import dataclass
@@ -22,24 +22,24 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 SPACING = 0.007
-"""Distance between lines where a band's response is largest, over the wavelength.
+"""Distance between lines at the peak of a band's response, over the wavelength.
 
-So integrals over the bands "rgb" and "xyz" and over Gaussians, under the illuminants of the CIE, are right within 1e-3
-of those of a white surface: of the spectra of the ColorChecker, of the transmittances of catalogue glasses, and of
-coatings, ghosts of coatings and mirrors of up to 15 layers."""
+With it, integrals over the bands "rgb" and "xyz" and over Gaussians, under the illuminants of the CIE, are wrong by at
+most 1e-3 of the value for a white surface. That holds for the spectra of the ColorChecker, transmittances of catalogue
+glasses, and coatings, ghosts of coatings and mirrors of up to 15 layers."""
 
 LEAST_LINES, MOST_LINES = 8, 64
-"""Numbers of lines of a band."""
+"""Least and largest number of lines of a band."""
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """The lines of a channel, and the chance of each.
+    """Lines of a channel, and their chances.
 
     Attributes
     ----------
     first : int
-        Column of the first of them.
+        Column of the first line.
     until : (lines,) float64
         Cumulative chance, up to 1.
     """
@@ -53,10 +53,10 @@ class Nodes:
         return cls(column, np.ones(1))
 
     def columns(self, places: ArrayLike) -> Numbers:
-        """Return the columns of lines that samples at some places in [0, 1) take.
+        """Return the columns of the lines taken by samples at places in [0, 1).
 
-        Places up to one half go up through the band and the others down again, so that what samples at even distances
-        find does not jump where they begin anew.
+        Places up to one half go up through the band, the others down, so that evenly spaced samples wrap around without
+        a jump.
 
         Parameters
         ----------
@@ -67,25 +67,25 @@ class Nodes:
 
 
 FIRST = Nodes.single(0)
-"""The first line of all."""
+"""The first of all lines."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """The lines of a scene.
+    """Lines of a scene.
 
     Attributes
     ----------
     wavelengths_nm : tuple of float
-        Of each column; those of a band follow each other and increase.
+        Of each column; the lines of a band are adjacent and increase.
     weight_nm : (columns,) float64, nm
-        Integral of the band's response, by which a density per nm becomes a power; 1 without bands.
+        Integral of the band's response, which turns a density per nm into a power; 1 without bands.
     nodes : tuple of Nodes
         Of each channel.
     span_nm : (float, float) or None
-        Ends of the range that the bands reach over; None without bands.
+        Ends of the range covered by the bands; None without bands.
     strata : tuple of (Curve, (lines + 1,) float64)
-        Response of each band, and ends of its strata, nm.
+        Response of each band, and the ends of its strata, nm.
     """
 
     wavelengths_nm: tuple[float, ...]
@@ -101,7 +101,7 @@ class Lines:
         Raises
         ------
         FileError
-            The file of a response cannot be used.
+            A response file cannot be used.
         """
         if not scene.passbands:
             return cls.single(scene.transport.wavelengths_nm)
@@ -132,27 +132,27 @@ class Lines:
 
     @property
     def middle(self) -> Nodes:
-        """The line in the middle of the first channel alone, for what is found at one wavelength."""
+        """The middle line of the first channel, for computations at one wavelength."""
         return Nodes.single(int(self.nodes[0].columns(0.25)))
 
     def mean(self, spectrum: Curve) -> Array:
-        """Return the mean of a spectrum over the stratum of each line, weighted with the response, (columns,)."""
+        """Return a spectrum's mean over the stratum of each line, weighted with the response, (columns,)."""
         if self.span_nm is None:
             return spectrum.at(self.wavelengths_nm)
         return np.concatenate([_means(response, edges, spectrum) for response, edges in self.strata])
 
     def power(self, total: float, shape: Curve | None = None) -> Array:
-        """Return the share of a light's power that each line stands for, (columns,).
+        """Return the share of a light's power for each line, (columns,).
 
-        Without bands each line has the whole. In bands the power is spread over the range that they reach over, and
-        each line stands for what of that its band detects.
+        Without bands each line has the whole power. With bands the power is spread over their range, and each line has
+        its detected part.
 
         Parameters
         ----------
         total : float
             Power, or irradiance or radiance.
         shape : Curve, optional
-            How it is spread by wavelength; evenly if left out.
+            Spectrum of the power; constant by default.
         """
         if self.span_nm is None:
             return np.full(len(self.weight_nm), total)
@@ -162,20 +162,20 @@ class Lines:
         return total / shape.integral(first, last) * self.mean(shape) * self.weight_nm
 
     def nearest(self, wavelength_nm: float) -> int:
-        """Return the column whose wavelength is nearest to another."""
+        """Return the column with the nearest wavelength."""
         return int(np.argmin(np.abs(np.array(self.wavelengths_nm) - wavelength_nm)))
 
 
 def _means(response: Curve, edges: Array, spectrum: Curve) -> Array:
-    """Return the means of a spectrum over strata, weighted with a response; in a gap of it the value in the middle."""
+    """Return the means of a spectrum over strata, weighted with a response; in a gap, the value in the middle."""
     area, middle = response.integrals(edges), spectrum.at(0.5 * (edges[1:] + edges[:-1]))
     return np.divide(response.integrals(edges, spectrum), area, out=middle, where=area > 0.0)
 
 
 def _strata(response: Curve) -> Array:
-    """Return the ends of the strata of a band, nm: with equal integrals of the cube root of its response.
+    """Return the ends of a band's strata, nm, with equal integrals of the cube root of its response.
 
-    No stratum reaches over a gap in the response.
+    No stratum crosses a gap in the response.
     """
     knots, values = response.wavelengths_nm, response.values
     root = Curve(knots, np.cbrt(values))

@@ -1,8 +1,8 @@
-"""The media of a scene: air, and the glasses of lens, array and bodies in object space, each with a number.
+"""Media of a scene: air, and the glasses of lens, array and bodies in object space, each with a number.
 
-Packets carry the number of the medium that they travel in; the properties of media are the fields of `Media`. Glasses
-of one index that absorb differently are different media. In object space number 0 is the medium that bodies stand in:
-air, or the object medium of the lens, which has a number of its own among the spaces of the lens.
+Packets carry the number of their medium; `Media` has the properties. Glasses of one index with different absorption are
+different media. In object space number 0 is the medium around bodies: air, or the object medium of the lens, which has
+its own number among the spaces of the lens.
 """
 
 from collections.abc import Iterable
@@ -21,14 +21,14 @@ from lfmesh.transport.tables.tables import AIR, NO_SLOT, Absorption, LensTables,
 Array = NDArray[np.float64]
 
 Dye = float | Spectrum | Literal["catalogue"]
-"""Absorption coefficient of a medium, 1/mm, or "catalogue": by the glass's internal transmittance."""
+"""Absorption coefficient of a medium, 1/mm, or "catalogue": from the glass's internal transmittance."""
 
 CLEAR: Dye = 0.0
 
 
 @dataclass(frozen=True)
 class MediumList:
-    """The distinct media of a scene, by their numbers.
+    """Distinct media of a scene, by number.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class MediumList:
     media : tuple of Medium
         Air first.
     dyes : tuple of Dye
-        What each absorbs.
+        Absorption of each medium.
     """
 
     scene: Scene
@@ -62,11 +62,11 @@ class MediumList:
 
     @property
     def before_lens(self) -> int:
-        """Number of the medium before the lens, among the spaces of the lens."""
+        """Number of the medium in front of the lens, among the spaces of the lens."""
         return self._number(self.scene.camera.lens.media[0], CLEAR)
 
     def in_camera(self, medium: Medium) -> int:
-        """Return the number of a medium of the lens, the array or the sensor's cover."""
+        """Return the number of a medium of lens, array or cover."""
         return self._number(medium, _dye_in_camera(self.scene, medium))
 
     def of_body(self, body: Refractor) -> int:
@@ -82,13 +82,13 @@ class MediumList:
         return tuple(number for number, dye in enumerate(self.dyes) if dye != CLEAR)
 
     def places(self, number: int, elements: Iterable[Medium]) -> str:
-        """Return the names of the bodies that a medium fills, as in "lens[0], mla".
+        """Return the names of the bodies filled by a medium, for example "lens[0], mla".
 
         Parameters
         ----------
         number : int
         elements : iterable of Medium
-            Glasses of the elements of the lens, in order.
+            Glasses of the lens elements, in order.
         """
         names = [f"lens[{i}]" for i, medium in enumerate(elements) if self.in_camera(medium) == number]
         mla = self.scene.camera.mla
@@ -101,13 +101,13 @@ class MediumList:
         return ", ".join(names)
 
     def table(self, wavelengths_nm: tuple[float, ...], book: Book | None, within: Iterable[int]) -> Media:
-        """Return the media at some wavelengths, as kernels of a region read them.
+        """Return the media at some wavelengths, for the kernels of a region.
 
         Parameters
         ----------
         wavelengths_nm : tuple of float
         book : Book or None
-            None: no light is absorbed.
+            None: without absorption.
         within : iterable of int
             Media of the region.
         """
@@ -123,7 +123,7 @@ class MediumList:
         return Media(indices, Absorption(per_mm, slot))
 
     def table_of_objects(self, wavelengths_nm: tuple[float, ...], book: Book | None, within: Iterable[int]) -> Media:
-        """Return the media of object space at some wavelengths, all with absorption: kernels are compiled once for it.
+        """Return the media of object space at some wavelengths, always with absorption: kernels compile once.
 
         Parameters
         ----------
@@ -148,12 +148,12 @@ class MediumList:
 
 
 def _dye_in_camera(scene: Scene, medium: Medium) -> Dye:
-    """Return what a medium of the camera absorbs: glasses of the catalogue alone, where the camera asks for it."""
+    """Return the absorption of a medium of the camera: only for catalogue glasses, if the camera asks for it."""
     return "catalogue" if scene.camera.absorption and catalogue_name(medium) is not None else CLEAR
 
 
 def without_absorption(media: Media) -> Media:
-    """Return the media of object space without what they absorb.
+    """Return the media of object space without absorption.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ Region = TypeVar("Region", LensTables, MlaTables)
 
 
 def clear(tables: Region) -> Region:
-    """Return the tables of a region with media that do not absorb."""
+    """Return the tables of a region without absorption."""
     media = tables.media._replace(absorption=None)
     if isinstance(tables, MlaTables):
         return with_media(tables, media)
@@ -175,14 +175,14 @@ def clear(tables: Region) -> Region:
 
 
 def with_media(mla: MlaTables, media: Media, **others: Any) -> MlaTables:
-    """Return the tables of the array, of both its faces, with other media.
+    """Return the tables of the array, for both faces, with other media.
 
     Parameters
     ----------
     mla : MlaTables
     media : Media
     **others
-        Further fields that both faces share.
+        Further fields shared by both faces.
     """
     back = None if mla.back is None else mla.back._replace(media=media, **others)
     return mla._replace(media=media, back=back, **others)

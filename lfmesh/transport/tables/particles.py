@@ -1,4 +1,4 @@
-"""The table of particles as kernels read it."""
+"""Table of particles for kernels."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -27,22 +27,22 @@ UM2 = 1e-6
 
 @by_address
 class ParticleTables(NamedTuple):
-    """The particles of an entry of `[[particles]]`."""
+    """Particles of one entry of `[[particles]]`."""
 
     points: Array  # (n, 3) mm, world frame
-    strength: Array  # (n,) W/sr, or W/mm² of a light sheet
+    strength: Array  # (n,) W/sr, or W/mm² in a light sheet
     scale: Array  # (wavelengths,) sr or mm²: power, W, over the strength
-    along: Array  # (3,) unit, world frame: the way of the light that is scattered
-    phases: PhaseTables  # of one function
-    samples: int  # packets of each particle, all replicates together
-    entry: int  # of the scene's
-    inside: Numbers  # (n,) bodies of glass or liquid round each, as packets hold them
+    along: Array  # (3,) unit, world frame: direction of the light before scattering
+    phases: PhaseTables  # with one function
+    samples: int  # packets per particle, all replicates together
+    entry: int  # number of the entry in the scene
+    inside: Numbers  # (n,) bodies of glass or liquid around each, as packets hold them
 
 
 def particle_tables(
     scene: Scene, lines: Lines, media: Media, places: Callable[[Array], tuple[Numbers, Numbers]]
 ) -> tuple[ParticleTables, ...]:
-    """Return the particles of a scene, but for entries of which none shines.
+    """Return the particles of a scene, without entries that do not shine.
 
     Parameters
     ----------
@@ -51,13 +51,12 @@ def particle_tables(
     media : Media
         Of object space.
     places : callable
-        Returns, for points (n, 3) in mm, world frame, the bodies that they are in, as packets hold them, and the
-        numbers of the media there.
+        Returns, for points (n, 3) in mm, world frame, the bodies around them, as packets hold them, and their media.
 
     Raises
     ------
     SceneError, FileError
-        A file or a spectrum cannot be used, or particles of one entry scatter in different media.
+        A file or spectrum cannot be used, or particles of an entry scatter in different media.
     """
     tables = []
     for number, group in enumerate(scene.particles):
@@ -78,16 +77,16 @@ def particle_tables(
 
 
 def _index_round(group: Particles, media: Media, numbers: Numbers, where: str) -> Array:
-    """Return the refractive index of what is round particles, (wavelengths,); of spheres it must be the same for all.
+    """Return the refractive index around particles, (wavelengths,); for spheres it must be the same for all.
 
     Parameters
     ----------
     group : Particles
     media : Media
     numbers : (n,) int64
-        Of the medium round each.
+        Number of the medium around each.
     where : str
-        Place of the particles in the scene, for messages.
+        Place in the scene, for messages.
     """
     indices = media.indices[np.unique(numbers)]
     if group.phase.depends_on_surroundings and (indices != indices[0]).any():
@@ -100,7 +99,7 @@ def _index_round(group: Particles, media: Media, numbers: Numbers, where: str) -
 
 
 def _power(group: Particles, lines: Lines, where: str, index: Array) -> Array:
-    """Return the power of a particle over its strength, (wavelengths,): sr of all directions, or mm² that scatter."""
+    """Return a particle's power over its strength, (wavelengths,): 4π sr, or its cross section, mm²."""
     if group.sheet is None:
         return np.full(len(lines.wavelengths_nm), 4.0 * np.pi)
     cross_section = cross_sections_um2(group.phase, lines.wavelengths_nm, f"{where}.phase", index)
@@ -111,7 +110,7 @@ def _power(group: Particles, lines: Lines, where: str, index: Array) -> Array:
 
 
 def corners_round(tables: tuple[ParticleTables, ...]) -> Array:
-    """Return the corners of boxes round the particles of each entry, (n, 3), mm, world frame."""
+    """Return the corners of boxes around the particles of each entry, (n, 3), mm, world frame."""
     corners = [np.zeros((0, 3))]
     for table in tables:
         ends = np.stack([table.points.min(axis=0), table.points.max(axis=0)])
@@ -120,7 +119,7 @@ def corners_round(tables: tuple[ParticleTables, ...]) -> Array:
 
 
 def refuse_particles_behind(tables: tuple[ParticleTables, ...], moves: Array, front_mm: float) -> None:
-    """Refuse particles that do not lie before the lens.
+    """Refuse particles that are not in front of the lens.
 
     Parameters
     ----------
@@ -128,12 +127,12 @@ def refuse_particles_behind(tables: tuple[ParticleTables, ...], moves: Array, fr
     moves : (6, 6, 3, 4) float64
         See `frame_table`.
     front_mm : float, mm
-        The lens's outermost plane, camera frame.
+        Outermost plane of the lens, camera frame.
 
     Raises
     ------
     SceneError
-        Naming the first of them.
+        Names the first such particle.
     """
     for table in tables:
         depth = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], table.points)[:, 2]

@@ -22,21 +22,21 @@ Array = NDArray[np.float64]
 
 
 def sphere_of(phase: MiePhase, wavelength_nm: float, where: str, surrounding: float = 1.0) -> MieSphere:
-    """Return what the spheres of a phase function do to light.
+    """Return the scattering properties of a phase function's spheres.
 
     Parameters
     ----------
     phase : MiePhase
     wavelength_nm : float, nm
     where : str
-        Place of the phase function in the scene, for messages.
+        Place in the scene, for messages.
     surrounding : float
-        Refractive index of what is round the spheres, where the phase function does not say it.
+        Refractive index around the spheres, unless the phase function gives it.
 
     Raises
     ------
     SceneError
-        The spheres are too large, or those of what is round them.
+        The spheres are too large, or have the index of their surroundings.
     """
     index = complex(phase.index, phase.extinction)
     round_them = phase.surrounding_index if phase.surrounding_index is not None else float(surrounding)
@@ -51,9 +51,9 @@ def sphere_of(phase: MiePhase, wavelength_nm: float, where: str, surrounding: fl
 def cross_sections_um2(
     phase: Phase, wavelengths_nm: tuple[float, ...], where: str, surrounding: ArrayLike = 1.0
 ) -> Array | None:
-    """Return the scattering cross sections of spheres at some wavelengths, (wavelengths,) µm².
+    """Return the scattering cross sections of spheres, (wavelengths,) µm².
 
-    None where the phase function does not give the size of what scatters.
+    None if the phase function gives no size.
 
     Parameters
     ----------
@@ -84,14 +84,14 @@ def phase_functions(
     wavelengths_nm : (wavelengths,) tuple of float
     scene : Scene
     where : str
-        Its place in the scene, for messages.
+        Place in the scene, for messages.
     surrounding : float or (wavelengths,) float64
-        Refractive index of what scatters in the medium, where the phase function does not say it.
+        Refractive index around the scatterers, unless the phase function gives it.
 
     Raises
     ------
     SceneError, FileError
-        Spheres are too large, or a file cannot be used.
+        As in `sphere_of`, or a file cannot be used.
     """
     match phase:
         case MiePhase():

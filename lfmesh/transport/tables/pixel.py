@@ -1,4 +1,4 @@
-"""A pixel of the sensor, as the adjoint method samples it."""
+"""Pixel of the sensor in the adjoint method."""
 
 from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.tables.lights import MM2
@@ -7,5 +7,5 @@ from lfmesh.transport.tables.tables import SensorTables
 
 @inlined
 def area_of_sample(sensor: SensorTables, samples: int) -> float:
-    """Return a pixel's area, m², for each of its samples, less what the sensor reflects of the light that arrives."""
+    """Return a pixel's area, m², per sample, reduced by the sensor's reflectance."""
     return sensor.pixel * sensor.pixel * MM2 / samples * (1.0 - sensor.reflectance)

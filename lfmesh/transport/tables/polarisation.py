@@ -1,7 +1,7 @@
-"""Polarised light as kernels need it: layers of coatings with their phases, lights, and the polariser.
+"""Tables of polarised light for kernels: layers of coatings with their phases, lights, and the polariser.
 
-Polarised packets are divided by the amplitudes of the layers themselves, which are computed at every event. The tables
-of `tables.coatings` hold shares of unpolarised power, and no phases.
+Polarised packets are divided by the layers' amplitudes, computed at every event: the tables of `tables.coatings` hold
+shares of unpolarised power, without phases.
 """
 
 from collections.abc import Sequence
@@ -24,11 +24,11 @@ from lfmesh.transport.tables.tables import NO_SLOT
 
 FILM = np.dtype(
     [
-        ("first", "i8"),  # its first layer
-        ("count", "i8"),  # of layers; 0: a bare interface
-        ("turned", "?"),  # its layers begin on the side that counts as the far one, see `tables.interfaces.Face`
+        ("first", "i8"),  # first layer
+        ("count", "i8"),  # number of layers; 0: a bare interface
+        ("turned", "?"),  # the first layer is on the far side, see `tables.interfaces.Face`
         ("absorbs", "?"),
-        ("slot", "i8"),  # of the book, for the light that it absorbs
+        ("slot", "i8"),  # slot of the book for absorbed light
     ]
 )
 
@@ -41,20 +41,20 @@ class PolarisationTables(NamedTuple):
     """Tables of a scene with polarised light."""
 
     begin: NDArray[np.int64]  # (3,) film of the first interface of lens, array and object space
-    films: NDArray[np.void]  # (n,) FILM: one for each row of the regions' interfaces
-    indices: NDArray[np.complex128]  # (layers of all, wavelengths)
-    thicknesses: NDArray[np.float64]  # (layers of all,) nm
+    films: NDArray[np.void]  # (n,) FILM: one per row of the regions' interfaces
+    indices: NDArray[np.complex128]  # (layers of all films, wavelengths)
+    thicknesses: NDArray[np.float64]  # (layers of all films,) nm
     wavelengths: NDArray[np.float64]  # nm
     lights: NDArray[np.float64]  # (lights, 3) Q, U and V over I, with the reference direction of `across`
     has_polariser: bool
-    absorbing: NDArray[np.float64]  # (3,) axis along which the polariser absorbs, world frame
-    slot: int  # of the book, for the light that the polariser absorbs
+    absorbing: NDArray[np.float64]  # (3,) absorbing axis of the polariser, world frame
+    slot: int  # slot of the book for light absorbed by the polariser
 
 
 def polarisation_tables(
     scene: Scene, wavelengths_nm: Sequence[float], moves: Array, book: Book
 ) -> PolarisationTables | None:
-    """Return the tables of a scene with polarised light; None of any other.
+    """Return the tables of a scene with polarised light; None for any other.
 
     Parameters
     ----------

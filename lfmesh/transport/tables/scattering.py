@@ -1,6 +1,6 @@
-"""The scattering models of targets as kernels read them: a kind for each target, with its parameters.
+"""Scattering models of targets for kernels: a kind per target, with its parameters.
 
-A new model has its parameters in the scene's `Material`, its kind and its row here, and its formulas in
+A new model needs its parameters in the scene's `Material`, its kind and its row here, and its formulas in
 `transport/events/scattering.py`. No other code depends on the kind.
 """
 
@@ -22,25 +22,25 @@ SCATTERING = np.dtype(
     [
         ("kind", "i8"),
         ("first", "i8"),  # row of `ScatteringTables.parameters` with its first parameter
-        ("metal", "f8"),  # share of the surface that is metal, of a `BLEND`
+        ("metal", "f8"),  # share of the surface that is metal, for a `BLEND`
         ("behind", "i8"),  # row of the model of the surface's other side
-        ("emission", "i8"),  # row of the model by which the surface emits; of `THERMAL` that of the surface
+        ("emission", "i8"),  # row of the surface's emission model; for `THERMAL`, row of the surface's model
         ("black", "?"),  # scatters nothing, at any wavelength
     ]
 )
 
 LAMBERTIAN = 0  # parameter: reflectance
 GLOSSY = 1  # parameters: see `optics.gloss`
-BLEND = 2  # parameters: those of a dielectric gloss, then those of a metal, see `optics.gltf_material`
-THERMAL = 3  # emission by temperature; parameters: mean emissivity where the texture is 0, and what 1 takes from it
+BLEND = 2  # parameters: of a dielectric gloss, then of a metal, see `optics.gltf_material`
+THERMAL = 3  # emission by temperature; parameters: mean emissivity for texture 0, and its reduction for texture 1
 
 
 @by_address
 class ScatteringTables(NamedTuple):
-    """The scattering models of all targets, and of the materials that mesh files bring."""
+    """Scattering models of all targets, and of the materials in mesh files."""
 
-    # (n,) SCATTERING: of targets, then of files' materials, each in all media round it; a black one where a hot sheet
-    # has a black side; of what each hot target emits, of what its black side emits, and of a given radiance, which is
+    # (n,) SCATTERING: of targets, then of files' materials, each in all media around it; a black one if a hot sheet
+    # has a black side; emission of each hot target, emission of the black side, and a given radiance, which is
     # the same in all directions
     models: NDArray[np.void]
     parameters: Array  # (parameters of all models, wavelengths)
@@ -53,20 +53,20 @@ def scattering_tables(
     from_files: Sequence[GltfMaterial] = (),
     surroundings: Array | float = 1.0,
 ) -> ScatteringTables:
-    """Return the scattering models of some materials, then those of mesh files' materials, then those of emission.
+    """Return the scattering models of some materials, then of mesh files' materials, then of emission.
 
-    A given radiance is emitted by Lambert's law, whatever the target's scattering model. What has a temperature emits
-    what is missing from its albedo, in each direction (Kirchhoff).
+    A given radiance is emitted by Lambert's law, whatever the target's model. A surface with a temperature emits, in
+    each direction, 1 minus its albedo times the black body's radiance (Kirchhoff).
 
     Parameters
     ----------
     materials : sequence of Material
     wavelengths_nm : (wavelengths,) tuple of float
     reflectances : sequence of (wavelengths,) float64, optional
-        Of the materials; may be left out if they are numbers.
+        Optional if they are numbers.
     from_files : sequence of GltfMaterial
     surroundings : (materials + from_files, wavelengths) float64, or fewer axes
-        Refractive index of what is round each material: a gloss has its own index over that.
+        Refractive index around each material; a gloss reflects by its own index over this one.
     """
     around = np.broadcast_to(surroundings, (len(materials) + len(from_files), len(wavelengths_nm)))
     if reflectances is None:
@@ -75,7 +75,7 @@ def scattering_tables(
         _model_of(each, share, wavelengths_nm, outer)
         for each, share, outer in zip(materials, reflectances, around, strict=False)
     ]
-    # Of all metallics, which is no parameter.
+    # Shared by all metallics, as metallic is no parameter.
     outer = around[len(materials) :]
     keys = [(each.base, each.alpha, index.tobytes()) for each, index in zip(from_files, outer, strict=True)]
     chosen = {key: i for i, key in reversed(list(enumerate(keys)))}
@@ -111,7 +111,7 @@ def scattering_tables(
 
 
 def _mean_emissivity(kind: int, parameters: Array) -> Array:
-    """Return the parameters of a `THERMAL` model, (2, wavelengths), from those of the surface that emits."""
+    """Return the parameters of a `THERMAL` model, (2, wavelengths), from the surface's parameters."""
     if kind == LAMBERTIAN:
         return np.concatenate([np.ones_like(parameters), parameters])
     alone, base = mean_albedos(parameters)
@@ -119,7 +119,7 @@ def _mean_emissivity(kind: int, parameters: Array) -> Array:
 
 
 def mean_emission(tables: ScatteringTables, model: int) -> tuple[Array, Array]:
-    """Return the hemispherical mean of what a surface emits, relative to its radiance, each (wavelengths,).
+    """Return the hemispherical mean emission of a surface, relative to its radiance.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def mean_emission(tables: ScatteringTables, model: int) -> tuple[Array, Array]:
     Returns
     -------
     untextured, by_texture : (wavelengths,) float64
-        Where the texture is 0, and what a texture of 1 adds.
+        Value for texture 0, and the addition for texture 1.
     """
     row = tables.models[tables.models["emission"][model]]
     first = tables.parameters[row["first"]]
@@ -142,7 +142,7 @@ def mean_emission(tables: ScatteringTables, model: int) -> tuple[Array, Array]:
 def _model_of(
     material: Material, reflectance: Array, wavelengths_nm: tuple[float, ...], around: Array
 ) -> tuple[int, Array]:
-    """Return the kind of a material's scattering model, and its parameters, (parameters, wavelengths)."""
+    """Return the kind and the parameters, (parameters, wavelengths), of a material's scattering model."""
     gloss = material.gloss
     if gloss is None:
         return LAMBERTIAN, reflectance[None, :]

@@ -1,10 +1,10 @@
-"""Tables by which packets are sent past lamps in scattering media, into the light that is scattered near them.
+"""Tables for packets sent past lamps in scattering media, into the light scattered near the lamps.
 
-Seen from a point at the distance D of a lamp of intensity I, single scattering at an angle α from the lamp has the
-radiance κ I / (D sin α) ∫ p(ψ) dψ, from ψ = α to π, in a medium without an end of the scattering coefficient κ and the
-phase function p, less what is lost on the way: along that line the angle of scattering ψ grows from α to π, and by even
-steps of it the light that arrives is constant (equiangular sampling, Kulla & Fajardo, EGSR 2012). The tables hold that
-integral and its integral over α, of the mean phase function of all media.
+Seen from distance D of a lamp of intensity I, single scattering at an angle α from the lamp has the radiance
+κ I / (D sin α) ∫ p(ψ) dψ, from ψ = α to π, in an unbounded medium with the scattering coefficient κ and the phase
+function p, before losses on the way. Along that line the scattering angle ψ grows from α to π, and the arriving light
+is constant per step of ψ (equiangular sampling, Kulla & Fajardo, EGSR 2012). The tables hold this integral and its
+integral over α, for the mean phase function of all media.
 """
 
 import numpy as np
@@ -20,26 +20,28 @@ from lfmesh.transport.tables.volumes import NOT_IN_GRID, Volumes, corners_of
 Array = NDArray[np.float64]
 
 FINEST = 2.0**-17
-"""Smallest angle, rad, that the table tells from 0, and from π: phase functions have no narrower peaks."""
+"""Smallest angle, rad, that the table resolves from 0 and from π; phase functions have no narrower peaks."""
 
 PIECES = 128
-"""Number of even pieces of the half circle; towards 0 and π there are as many that grow narrower by even factors."""
+"""Number of equal pieces of the half circle. Towards 0 and towards π there are as many pieces again, in geometric
+steps."""
 
 EVEN = 0.1
-"""Share of isotropic scattering in the table, so that a phase function may have narrower peaks than the pieces."""
+"""Share of isotropic scattering in the table, because a phase function may have peaks narrower than the pieces."""
 
 DENSE = 0.1
-"""Optical depth of scattering on the way to a lamp from which on each point sends a packet past it.
+"""Scattering optical depth on the way to a lamp above which each point sends a packet past the lamp.
 
-Below, that light is of little weight, and its variance falls with the square of the depth: so does the share of points.
+Below it, that light has little weight, and its variance falls with the square of the depth, and so does the share of
+points.
 """
 
 WORTH = 0.1
-"""Share of points that send a packet below which none does: asking each whether it does would cost more."""
+"""Share of points that send a packet, below which none does: the decision at each point would cost more."""
 
 
 def single_scatter_tables(volumes: Volumes, lights: NDArray[np.void], size: float) -> SingleScatter:
-    """Return the tables of a scene's media, empty ones if next to nothing is scattered near lamps.
+    """Return the tables of a scene's media; empty ones if scattering near lamps is negligible.
 
     Parameters
     ----------
@@ -69,28 +71,28 @@ def single_scatter_tables(volumes: Volumes, lights: NDArray[np.void], size: floa
     phase = EVEN * 0.25 / np.pi + (1.0 - EVEN) * found
     pieces = 2.0 * half * phase
     beyond, below = np.zeros((2, len(phase), len(angles)))
-    # From the far end, so that the small numbers there keep their digits.
+    # Summed from the far end, so that the small numbers there keep their digits.
     beyond[:, :-1] = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1]
     below[:, 1:] = np.cumsum(half * (beyond[:, 1:] + beyond[:, :-1]), axis=1)
     return SingleScatter(angles, phase, beyond, below, scattering, extents)
 
 
 def _angles() -> Array:
-    """Return angles from 0 to π, even in the middle and ever closer towards both ends, rad."""
+    """Return angles from 0 to π, rad, evenly spaced in the middle and ever closer towards both ends."""
     ends = np.geomspace(FINEST, 0.5 * np.pi, PIECES, endpoint=False)
     even = np.linspace(0.0, np.pi, PIECES + 1)
     return np.unique(np.concatenate([even, ends, np.pi - ends]))
 
 
 def _extents(rows: NDArray[np.void]) -> Array:
-    """Return the diagonal of the box round each medium, mm."""
+    """Return the diagonal of the box around each medium, mm."""
     corners = [corners_of(row) for row in rows]
     return np.array([np.inf if each is None else np.linalg.norm(each[-1] - each[0]) for each in corners])
 
 
 @kernel
 def _mean_phase(phases: PhaseTables, scattering: Array, cosines: Array, weights: Array, found: Array) -> None:
-    """Fill in the mean of the phase functions of all media that scatter, over the cosines of each piece."""
+    """Fill in the mean phase function of all scattering media, averaged over the cosines of each piece."""
     for colour in range(len(found)):
         count = 0
         for number in range(len(scattering)):
@@ -107,7 +109,7 @@ def _mean_phase(phases: PhaseTables, scattering: Array, cosines: Array, weights:
 
 @kernel
 def light_beyond(near_lamps: SingleScatter, colour: int, angle: float) -> float:
-    """Return the integral of the mean phase function over the angle, from an angle to π, 1/sr.
+    """Return the integral of the mean phase function from an angle to π, 1/sr.
 
     Parameters
     ----------
@@ -123,7 +125,7 @@ def light_beyond(near_lamps: SingleScatter, colour: int, angle: float) -> float:
 
 @kernel
 def phase_at(near_lamps: SingleScatter, colour: int, angle: float) -> float:
-    """Return the mean phase function at an angle, 1/sr: the derivative of `light_beyond`, but for its sign.
+    """Return the mean phase function at an angle, 1/sr: minus the derivative of `light_beyond`.
 
     Parameters
     ----------
@@ -135,13 +137,12 @@ def phase_at(near_lamps: SingleScatter, colour: int, angle: float) -> float:
 
 @kernel
 def angle_beyond(near_lamps: SingleScatter, colour: int, light: float) -> float:
-    """Return the angle at which `light_beyond` has a value, rad.
+    """Return the angle, rad, for a value of `light_beyond`.
 
     Parameters
     ----------
-    near_lamps : SingleScatter
-    colour : int
-        Number of the wavelength.
+    near_lamps, colour
+        As for `light_beyond`.
     light : float
     """
     low, high = 0, len(near_lamps.angles) - 1
@@ -161,11 +162,10 @@ def drawn_angle(near_lamps: SingleScatter, colour: int, u: float) -> float:
 
     Parameters
     ----------
-    near_lamps : SingleScatter
-    colour : int
-        Number of the wavelength.
+    near_lamps, colour
+        As for `light_beyond`.
     u : float
-        A random number, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     last = len(near_lamps.angles) - 1
     wanted = u * near_lamps.below[colour, last]

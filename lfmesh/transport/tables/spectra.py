@@ -24,7 +24,7 @@ def reflectance_at(scene: Scene, number: int, wavelengths_nm: tuple[float, ...])
     Raises
     ------
     SceneError, FileError
-        It is not known there, or is above 1.
+        It is not known at a wavelength, or exceeds 1.
     """
     where = f"targets[{number}].material.reflectance"
     reach_nm = min(wavelengths_nm), max(wavelengths_nm)
@@ -36,9 +36,9 @@ def reflectance_at(scene: Scene, number: int, wavelengths_nm: tuple[float, ...])
 
 
 def radiance_at(scene: Scene, number: int, lines: Lines) -> Array:
-    """Return the radiance of a target that each line stands for, (lines,), W/(m² sr).
+    """Return the radiance of a target for each line, (lines,), W/(m² sr).
 
-    Of a target with a temperature it is that of a black body, which its emissivity then lowers.
+    For a target with a temperature it is the black body's radiance, before its emissivity.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def radiance_at(scene: Scene, number: int, lines: Lines) -> Array:
     Raises
     ------
     SceneError, FileError
-        A spectrum does not reach over the scene's wavelengths, or its file cannot be used.
+        A spectrum does not cover the scene's wavelengths, or its file cannot be used.
     """
     material, where = scene.targets[number].material, f"targets[{number}].material"
     if material.temperature_k is not None:
@@ -62,23 +62,23 @@ def radiance_at(scene: Scene, number: int, lines: Lines) -> Array:
 def emission_at(
     scene: Scene, value: float | Spectrum, shape: Spectrum | None, lines: Lines, where: str, key: str
 ) -> Array:
-    """Return the emission that each line stands for, (lines,), in the unit of the emission.
+    """Return the emission for each line, (lines,), in the unit of the emission.
 
     Parameters
     ----------
     scene : Scene
     value : float or Spectrum
-        A number is the emission at each wavelength, or with bands over their whole range; a spectrum is per nm.
+        A number is the emission at each wavelength or, with bands, over their whole range; a spectrum is per nm.
     shape : Spectrum or None
-        Spectrum by which a number is spread over the bands; evenly if None.
+        Spectrum of a number spread over the bands; None: constant.
     lines : Lines
     where, key : str
-        Place in the scene of what emits, and the key of `value` there, for messages.
+        Place in the scene, and key of `value` there, for messages.
 
     Raises
     ------
     SceneError, FileError
-        As `spread` and `curve_of` do.
+        As in `spread` and `curve_of`.
     """
     if not isinstance(value, Spectrum):
         return spread(scene, value, shape, lines, f"{where}.spectrum")
@@ -87,23 +87,22 @@ def emission_at(
 
 
 def spread(scene: Scene, total: float, shape: Spectrum | None, lines: Lines, where: str) -> Array:
-    """Return what each line stands for of a power that is spread by a spectrum, (lines,), in the unit of the power.
+    """Return the share of a power with a given spectrum for each line, (lines,), in the unit of the power.
 
     Parameters
     ----------
     scene : Scene
     total : float
-        The power.
     shape : Spectrum or None
-        Evenly spread if None.
+        None: constant.
     lines : Lines
     where : str
-        Place of the spectrum in the scene, for messages.
+        Place in the scene, for messages.
 
     Raises
     ------
     SceneError, FileError
-        The spectrum does not reach over the scene's wavelengths or is 0 at all of them, or its file cannot be used.
+        The spectrum does not cover the scene's wavelengths or is 0 at all of them, or its file cannot be used.
     """
     if shape is None or lines.span_nm is None:
         return lines.power(total)

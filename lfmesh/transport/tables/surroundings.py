@@ -1,7 +1,7 @@
-"""Boxes and planes round everything near the lens, against which a ray is tested quickly.
+"""Boxes and planes around everything near the lens, for quick tests of rays.
 
-A ray that clears them certainly meets no target and no part of the housing, so that Embree need not be asked. All
-bounds are on the safe side of what float32 queries may find.
+A ray that clears them meets no target and no part of the housing, so Embree need not be asked. All bounds are
+conservative for float32 queries.
 """
 
 from collections.abc import Iterable
@@ -19,28 +19,29 @@ from lfmesh.transport.tables.lens import outermost
 from lfmesh.transport.tables.tables import LensTables
 
 MOST_BOXES = 8
-"""Of more targets, all share one box: a ray is tested against each box."""
+"""Largest number of boxes, each tested for every ray; more targets share one box."""
 
 FARTHEST = 8.0
-"""Rays may start this many times as far away as the targets: the boxes have slack for what float32 rounds there."""
+"""Largest distance of ray starts, over the distance of the targets: the boxes have slack for float32 rounding up to
+there."""
 
 LENS_SLACK = 0.02
-"""Distance kept from the lens, over its length: between their rings, meshes deviate from their surfaces."""
+"""Distance kept from the lens, over its length; between their rings, meshes deviate from their surfaces."""
 
 
 @by_address
 class Surroundings(NamedTuple):
     """Bounds of lens, housing and targets in the camera frame, mm."""
 
-    before: float  # points of smaller z are in object space, before lens and housing
+    before: float  # points of smaller z are in object space, in front of lens and housing
     behind: float  # points of larger z, inside the housing, are behind the lens
     end: float  # z where the housing ends
     outline: float  # radius within which points between `behind` and `end` are inside the housing
     plate: float  # z of the front of the housing
     opening: float  # radius of the opening in it
-    low: Array  # (3,) corners of the box within which the lens is looked for
+    low: Array  # (3,) corners of the box that holds the lens
     high: Array
-    boxes: Array  # (n, 2, 3) corners of the boxes round the targets
+    boxes: Array  # (n, 2, 3) corners of the boxes around the targets
     farthest: float  # bound of a start's coordinates within which the boxes are large enough
 
 
@@ -66,7 +67,7 @@ def surroundings_of(
     radius, z = np.hypot(housing.vertices[:, 0], housing.vertices[:, 1]), housing.vertices[:, 2]
     plate, end = float(z.min()), float(z.max())
     on_plate = z <= plate + FLOAT32_MARGIN * float(np.abs(housing.vertices).max())
-    # The opening is a polygon, whose sides are nearer to the axis than its corners; Embree has it in the object frame.
+    # The opening is a polygon with sides nearer to the axis than its corners; Embree has it in the object frame.
     rounding = FLOAT32_MARGIN * float(np.abs(points(frames[CAMERA_FRAME, OBJECT_FRAME], housing.vertices)).max())
     opening = float(radius[on_plate].min()) * np.cos(np.pi / shape.azimuths) - rounding
     before = min(low - slack, plate)
@@ -88,7 +89,7 @@ def surroundings_of(
 
 
 def _boxes(targets: Iterable[Mesh], frames: Array) -> tuple[Array, float]:
-    """Return boxes round all targets, larger by what float32 rounds, and how far from there rays may start."""
+    """Return boxes around targets, enlarged by float32 rounding, and the largest coordinate of ray starts."""
     found, farthest = [], np.inf
     for mesh in targets:
         p = points(frames[WORLD_FRAME, CAMERA_FRAME], mesh.vertices)

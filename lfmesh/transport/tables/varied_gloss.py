@@ -1,4 +1,4 @@
-"""Gloss that a picture varies over a surface: which scattering models each point mixes, as kernels read it."""
+"""Gloss varied by a picture over a surface: the scattering models mixed at each point, for kernels."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -15,17 +15,17 @@ from lfmesh.optics.gltf_material import RATIO, ROUGHNESSES, SMALLEST_ALPHA
 RANGE = np.dtype(
     [
         ("first", "i8"),  # place in `VariedGloss.rows`
-        ("roughnesses", "i8"),  # of its models, with two metallics each
+        ("roughnesses", "i8"),  # number of roughnesses of its models, with two metallics each
         ("least", "f8"),  # number of the first roughness, see `GltfRange`
-        ("metallic", "f8"),  # the least
-        ("more", "f8"),  # by which the largest metallic is above
+        ("metallic", "f8"),  # the least metallic
+        ("more", "f8"),  # excess of the largest metallic
     ]
 )
 
 
 @by_address
 class VariedGloss(NamedTuple):
-    """Gloss by pictures of metallic and roughness; without rows where no target has such a picture."""
+    """Gloss by pictures of metallic and roughness; without rows if no target has such a picture."""
 
     range_of: NDArray[np.int64]  # (m,) range of each facet of the targets; −1: none
     uv: Array  # (m, 3, 2)
@@ -33,17 +33,17 @@ class VariedGloss(NamedTuple):
     roughness: NDArray[np.float32]  # (values,)
     metallic: NDArray[np.float32]  # (values,)
     ranges: NDArray[np.void]  # (n,) RANGE
-    rows: NDArray[np.int64]  # row of each model in the first medium round its target: by roughness, two metallics each
+    rows: NDArray[np.int64]  # row of each model in the first medium around its target: by roughness, two metallics each
 
 
 def varied_gloss(targets: list[TargetMesh], around: list[tuple[int, ...]], row_of: Mapping[Any, int]) -> VariedGloss:
-    """Return the tables of the gloss that pictures vary.
+    """Return the tables of gloss varied by pictures.
 
     Parameters
     ----------
     targets : list of TargetMesh
     around : list of tuple of int
-        Media round each target.
+        Media around each target.
     row_of : mapping
         Rows of scattering models by their `GltfMaterial` and the number of their medium.
     """
@@ -80,7 +80,7 @@ def varied_gloss(targets: list[TargetMesh], around: list[tuple[int, ...]], row_o
 
 @kernel
 def drawn_model(varied: VariedGloss, number: int, roughness: float, metallic: float, u: float, v: float) -> int:
-    """Return the row of one of the scattering models that a point mixes, by its share of the mixture.
+    """Draw one of the scattering models mixed at a point, by its share; return its row.
 
     Parameters
     ----------
@@ -88,9 +88,9 @@ def drawn_model(varied: VariedGloss, number: int, roughness: float, metallic: fl
     number : int
         Range of the facet.
     roughness, metallic : float
-        Of the picture at the point.
+        From the picture.
     u, v : float
-        Random numbers, uniform in [0, 1).
+        Uniform in [0, 1).
     """
     own = varied.ranges[number]
     alpha = max(roughness * roughness, SMALLEST_ALPHA)

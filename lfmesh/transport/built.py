@@ -1,7 +1,7 @@
-"""Worlds that are built already, which a render of the same scene takes in place of building another one.
+"""Cache of built worlds, reused by renders of the same scene.
 
-A world follows from its scene, whatever the seed, and from the files that the scene names. A world that the caller
-holds costs nothing to find again. The latest world is kept although nobody holds it, unless it is large.
+A world depends on its scene, except the seed, and on the files named in it. A world held by the caller costs nothing.
+The latest world is kept even if nobody holds it, unless it is large.
 """
 
 import threading
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from lfmesh.transport.world import World
 
 MOST_BYTES = 1 << 29
-"""Arrays of a world that is kept while nobody else holds it; Embree's tree takes about as much again."""
+"""Largest size of the arrays of a world that is kept while nobody else holds it; Embree's tree takes about as much
+again."""
 
 Key = tuple[Hashable, ...]
 
@@ -34,7 +35,7 @@ _access = threading.Lock()
 
 
 def key_of(scene: Scene) -> Key:
-    """Return the key of a scene's world: the solved scene without its seed, and digests of the files that it names.
+    """Return the key of a scene's world: the solved scene without seed, and digests of its files.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def _contents(scene: Scene) -> Iterator[Key]:
         path = scene.resolve(name)
         digest = _digest(path, file_stamp(path))
         yield name, digest
-        # Anew each time: of the files that a mesh file names, only those count that are there.
+        # Computed each time: of the files named in a mesh file, only existing ones count.
         for other in companions(path) if digest else ():
             place = path.parent / other
             yield name, other, _digest(place, file_stamp(place))
@@ -63,12 +64,12 @@ def _contents(scene: Scene) -> Iterator[Key]:
 
 @lru_cache(maxsize=STAMPED_FILES)
 def _digest(path: Path, stamp: tuple[object, ...]) -> str:
-    """Return the digest of a file's contents, computed once for each stamp; "" if it is missing."""
+    """Return the digest of a file's contents, computed once per stamp; "" if the file is missing."""
     return digest_of(path) if stamp else ""
 
 
 def keep(key: Key, world: "World") -> None:
-    """Let renders find a world by its key.
+    """Store a world under its key.
 
     Parameters
     ----------
@@ -84,14 +85,14 @@ def keep(key: Key, world: "World") -> None:
 
 
 def let_go(key: Key) -> None:
-    """Keep no world but that of a key, so that memory does not hold two while another one is built."""
+    """Drop the latest world unless it has this key, so that a build does not hold two worlds."""
     with _access:
         if key not in _latest:
             _latest.clear()
 
 
 def known(key: Key) -> "World | None":
-    """Return the world that was built from a key, if it is still there."""
+    """Return the world built from a key, if it still exists."""
     with _access:
         return _held.get(key)
 
@@ -110,9 +111,9 @@ def refuse_other(world: "World", key: Key | None, scene: Scene) -> None:
     ----------
     world : World
     key : tuple, optional
-        From which it was built; None where its files changed meanwhile.
+        Of the world; None if its files changed meanwhile.
     scene : Scene
-        To be rendered.
+        To render.
 
     Raises
     ------
@@ -142,7 +143,7 @@ def _differences(path: str, own: Any, other: Any) -> Iterator[tuple[str, Any, An
 
 
 def _shown(value: Any) -> str:
-    """Return a value in a message: a list by its length, and nothing long."""
+    """Return a value for a message; lists and tables by their length."""
     if isinstance(value, dict | list):
         return f"a {'table' if isinstance(value, dict) else 'list'} of {len(value)}"
     return "omitted" if value is None else literal(value if not isinstance(value, Path) else str(value))

@@ -1,7 +1,7 @@
-"""The choice of the engine that traces a scene, with the reason.
+"""Choice of the engine for a scene, with the reason.
 
-The adjoint method needs the mesh engine for reflections only: with "both", the sequential engine traces the image path,
-which holds nearly all light, and the mesh engine adds the paths off it.
+The adjoint method needs the mesh engine only for reflections. With "both", the sequential engine traces the image path,
+with nearly all light, and the mesh engine adds the other paths.
 """
 
 from lfmesh.errors import SceneError
@@ -38,7 +38,7 @@ def engine_of(scene: Scene) -> tuple[str, str]:
 
 
 def obstacle_of(scene: Scene, surface: str, max_events: int, *, tracing: bool = False) -> str | None:
-    """Return why the sequential engine cannot trace a scene, in words; None if it can.
+    """Return the reason, in words, why the sequential engine cannot trace a scene; None if it can.
 
     Parameters
     ----------

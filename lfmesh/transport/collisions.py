@@ -1,6 +1,6 @@
-"""Refuse cameras whose lens, array and sensor intersect, as poses may make them.
+"""Refuse cameras with an intersecting lens, array and sensor, because of their poses.
 
-Light would end between them, and the picture be black without a message.
+Their images would be black without a message.
 """
 
 from collections.abc import Callable
@@ -27,46 +27,46 @@ from lfmesh.transport.tables.lens import back_lenslets, curved_lenslets, outermo
 from lfmesh.transport.tables.tables import MlaTables
 
 RECTANGLE = np.array([[0, 1, 3], [0, 3, 2]])
-"""Facets of a rectangle, by its corners in the order of x and y."""
+"""Facets of a rectangle, for corners in the order of x and y."""
 
 SLAB = np.array([[0, 1, 3], [0, 3, 2], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4],
                  [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 3, 7], [1, 7, 5]])  # fmt: skip
-"""Facets of a slab, by its corners in the order of x, y and z."""
+"""Facets of a slab, for corners in the order of x, y and z."""
 
 
 class Slab(NamedTuple):
-    """The space that an array takes, in its own frame."""
+    """Space taken by an array, in its own frame."""
 
     half: Array  # (2,) mm, half its extent
-    front: float  # mm, z of the face that lies lower
+    front: float  # mm, z of the lower face
     rear: float  # mm
     curved_to_lens: bool
 
 
 def slab_of(lenslets: Lenslets, other: Lenslets | None, curved_to_lens: bool) -> Slab:
-    """Return the space that an array takes.
+    """Return the space taken by an array.
 
     Parameters
     ----------
     lenslets : Lenslets
-        Of the face at which the frame of the array starts.
+        Of the face where the array's frame starts.
     other : Lenslets, optional
-        Of the other face, if that is not flat.
+        Of the other face, unless it is flat.
     curved_to_lens : bool
-        True if the frame starts from the face towards the lens.
+        The frame starts from the face towards the lens.
     """
     half = np.asarray(lenslets.lattice.half_extent)
     return Slab(half, lenslets.top, _rear_mm(lenslets, other), curved_to_lens)
 
 
 def slab_of_tables(mla: MlaTables) -> Slab | None:
-    """Return the space that an array takes; None without an array."""
+    """Return the space taken by the array; None without one."""
     back = None if mla.back is None else mla.back.lenslets
     return slab_of(mla.lenslets, back, mla.curved_to_lens) if mla.present else None
 
 
 def far_end_mm(mla: MlaTables) -> float:
-    """Return the z, array frame, beyond which nothing of the array stands: of its flat face or other lenslets."""
+    """Return the z, array frame, of the array's far end: its flat face or its other lenslets."""
     return _rear_mm(mla.lenslets, None if mla.back is None else mla.back.lenslets)
 
 
@@ -75,12 +75,12 @@ def _rear_mm(lenslets: Lenslets, other: Lenslets | None) -> float:
 
 
 def refuse_impossible_camera(scene: Scene) -> None:
-    """Refuse a camera that a build would refuse, as its elements, array and sensor intersect.
+    """Refuse a camera with intersecting elements, array or sensor, as a build would.
 
     Parameters
     ----------
     scene : Scene
-        Solved; elements given as meshes measured.
+        Solved, with mesh elements measured.
 
     Raises
     ------
@@ -103,19 +103,19 @@ def refuse_impossible_camera(scene: Scene) -> None:
 
 
 def refuse_collisions(scene: Scene, slab: Slab | None, shape: Callable[[], LensShape]) -> None:
-    """Refuse a camera whose sensor, array and lens intersect.
+    """Refuse a camera with intersecting sensor, array and lens.
 
     Parameters
     ----------
     scene : Scene
     slab : Slab or None
     shape : function that returns a LensShape
-        Called where something comes near the lens.
+        Called if something comes near the lens.
 
     Raises
     ------
     SceneError
-        The message says by how much they intersect.
+        Gives the depth of the intersection.
     """
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
     cover = scene.camera.sensor.cover
@@ -138,7 +138,7 @@ def refuse_collisions(scene: Scene, slab: Slab | None, shape: Callable[[], LensS
 
 
 def _lens_reaches_mm(scene: Scene) -> float:
-    """Return a bound of the z, camera frame, to which the meshes of the lens reach; inf: it is not known."""
+    """Return an upper bound of z, camera frame, of the lens's meshes; inf: unknown."""
     lens, reached = scene.camera.lens, -np.inf
     if lens.elements or any(s.mesh is not None for s in lens.surfaces):
         return np.inf
@@ -151,9 +151,9 @@ def _lens_reaches_mm(scene: Scene) -> float:
 
 
 def _refuse_sensor_in_array(slab: Slab, corners: Array, covered: bool) -> None:
-    """Refuse a sensor, or its cover, whose corners (4, 3) (array frame) are not all beyond the array's rear face."""
+    """Refuse a sensor or cover with corners (4, 3) (array frame) not all beyond the array's rear face."""
     inside = np.clip(corners[:, :2], *(np.array([[-1.0], [1.0]]) * slab.half))
-    # Of a sensor larger than the array only the part behind the array can intersect it.
+    # Only the part of the sensor behind the array can intersect it.
     plane = np.linalg.lstsq(np.column_stack([corners[:, :2], np.ones(4)]), corners[:, 2], rcond=None)[0]
     z = inside @ plane[:2] + plane[2]
     gap = (z - slab.rear if slab.curved_to_lens else slab.front - z).min()
@@ -166,7 +166,7 @@ def _refuse_sensor_in_array(slab: Slab, corners: Array, covered: bool) -> None:
 
 
 def _refuse_in_lens(what: str, shape: LensShape, corners: Array) -> None:
-    """Refuse a body whose corners, (4, 3) or (8, 3) (camera frame), or whose faces reach back to the lens.
+    """Refuse a body with corners or faces that reach back to the lens.
 
     Parameters
     ----------
@@ -174,16 +174,16 @@ def _refuse_in_lens(what: str, shape: LensShape, corners: Array) -> None:
         Name of the body.
     shape : LensShape
     corners : (4, 3) or (8, 3) float64, mm
-        Of a rectangle or a slab, in the order of x, y and z.
+        Of a rectangle or a slab, camera frame, in the order of x, y and z.
     """
     last = shape.surfaces[-1]
-    # A body smaller than a concave last surface may reach into the hollow of that surface.
+    # A body smaller than a concave last surface may reach into its hollow.
     if np.hypot(corners[:, 0], corners[:, 1]).max() >= last["semi_diameter"]:
         _refuse_depth(what, float(outermost(shape)[:, 2].max() - corners[:, 2].min()))
     cap = shape.caps[-1]
     met = segments(corners[RECTANGLE if len(corners) == 4 else SLAB], cap.vertices[cap.faces])
     if shape.analytic[-1]:
-        # With its corners beyond the surface, it reaches into the lens only where the surface comes through a face.
+        # If its corners are beyond the surface, it reaches into the lens only where the surface crosses a face.
         _refuse_depth(what, _depth(last, np.concatenate([corners, met.ends.reshape(-1, 3)])))
         return
     if len(met.own):
@@ -196,7 +196,7 @@ def _refuse_in_lens(what: str, shape: LensShape, corners: Array) -> None:
 
 
 def _depth(surface: np.void, points: Array) -> float:
-    """Return the depth of the deepest of some points, (n, 3), behind a surface, mm; −inf: all are beside it."""
+    """Return the largest depth, mm, of points (n, 3) behind a surface; −inf: all are beside it."""
     placed = in_place(surface, points)
     placed = placed[np.hypot(placed[:, 0], placed[:, 1]) <= surface["semi_diameter"]]
     depth = surface["vertex_z"] + heights(surface, placed[:, 0], placed[:, 1]) - placed[:, 2]
@@ -204,7 +204,7 @@ def _depth(surface: np.void, points: Array) -> float:
 
 
 def _refuse_depth(what: str, depth_mm: float) -> None:
-    """Refuse a body that reaches into the lens by a depth, if that is positive."""
+    """Refuse a body that reaches into the lens by a positive depth."""
     if depth_mm > 0.0:
         raise SceneError(
             f"{what}.pose: it reaches {depth_mm:.4g} mm into the lens; give smaller shifts and tilts, or a larger "

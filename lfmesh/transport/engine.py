@@ -1,13 +1,12 @@
-"""The loop of both engines: a chunk of packets is traced wave by wave until none is left.
+"""The loop of both engines: a chunk of packets is traced wave by wave.
 
-A wave is a batch of packets that wait at the same station. At a station that queries Embree, the packets are admitted
-(moved into its frame, their rays written in float32), Embree finds a facet for each, and the station's kernel decides
-in float64 and queues the children at the stations they travel to. The station with the most packets comes next, from
-the top of its stack, so that a chunk's memory stays bounded however often packets split.
+A wave is a batch of packets at the same station. At a station that queries Embree, the packets are admitted (moved into
+its frame, their rays written in float32), and Embree finds a facet for each. The station's kernel decides in float64
+and queues the children at their next stations. The station with the most packets comes next, from the top of its stack,
+so a chunk's memory stays bounded however often packets split.
 
-Where the surfaces of lens and array are exact, their order and their roots tell which one a packet meets, and Embree is
-asked only where they do not decide. The sequential engine takes the waves of lens and array through both at once
-(`image_path`); the rest is the same.
+Exact surfaces of lens and array are found by their order and their roots; Embree is asked only if these do not decide.
+The sequential engine takes the waves of lens and array through both at once (`image_path`).
 """
 
 import time
@@ -76,25 +75,25 @@ from lfmesh.transport.threads import stop_if_unwanted
 from lfmesh.transport.world import World
 
 CHUNK = 16_384
-"""Number of packets that start a chunk, and largest wave: few enough for the cache, enough to outweigh the calls."""
+"""Packets that start a chunk, and largest wave: few enough for the cache, enough to outweigh the calls."""
 
 MOST_VERTICES = 2_000_000
-"""Largest number of recorded vertices, which take 150 MB, and a few times that as paths. Without roulette, the children
+"""Largest number of recorded vertices. They take 150 MB, and a few times that as paths. Without roulette, the children
 of a single ray can exceed it."""
 
 MOST_ENDS = 4_000_000
-"""Largest number of packets in which the rays of a chunk may end. Without roulette each ray may have as many as its
-reflections have sequences, without an end that anybody waits for."""
+"""Largest number of ends of a chunk's rays. Without roulette each ray may have one per sequence of reflections, far
+more than can be traced."""
 
 MOST_EVENTS_EACH = 20_000
-"""Events that a packet of a render may have with all its children, on the average of a chunk. Reflections followed
-down to 1e-4 of the light need a few thousand; without roulette they double with every other surface."""
+"""Events allowed per packet of a render with all its children, averaged over a chunk. Reflections followed down to 1e-4
+of the light need a few thousand; without roulette they double with every other surface."""
 
 T = TypeVar("T")
 
 
 class FilmRows(Protocol):
-    """Film of the adjoint method, whose rows are pixels.
+    """Film of the adjoint method, with one row per pixel.
 
     Attributes
     ----------
@@ -138,17 +137,17 @@ class Workspace:
         self.hits = np.zeros((0, 1), np.uint32)
         self.counted = np.zeros(0, np.uint8)
         self.bundle = empty_bundle()
-        # One for each region, as a block's unused places hold numbers of its region's interfaces.
+        # One per region, as a block's unused places hold numbers of its region's interfaces.
         self.block, self.mla_block = empty_block(), empty_block()
         self.numbers = np.zeros(BLOCK, np.int64)
         self.unasked = np.zeros(0, np.int32)
         self.embree_seconds = 0.0
         self.queries = 0
-        # A list here collects copies of the packets that the order of the surfaces is asked about.
+        # If a list, it collects copies of the packets that the order of the surfaces processes.
         self.sampled: list[NDArray[np.void]] | None = None
 
     def kept(self, kind: type[T], make: Callable[[], T]) -> T:
-        """Return the working memory of a source, by its type; the first call makes it."""
+        """Return the working memory of a type; the first call makes it."""
         if kind not in self._kept:
             self._kept[kind] = make()
         memory: T = self._kept[kind]
@@ -160,9 +159,9 @@ class Workspace:
         Parameters
         ----------
         film : FilmRows, optional
-            Adjoint: film that light is added to.
+            Adjoint: film that receives the light.
         packets : int
-            Number of packets that the chunk starts.
+            Number of packets to start.
         """
         self.tops[:] = 0
         pixels = self.options.pixels._replace(each=0)
@@ -232,7 +231,7 @@ class Workspace:
         Raises
         ------
         LfmeshError
-            The packets have children without an end that anybody waits for.
+            The packets have too many children.
         """
         handled, most = 0, MOST_EVENTS_EACH * max(1, int(self.tops[:STATIONS].sum()))
         while self.tops[:STATIONS].any():
@@ -246,12 +245,12 @@ class Workspace:
                 )
 
     def advance(self, station: int) -> int:
-        """Process the next wave of a station: the top of its stack, at most a chunk; return the number of its packets.
+        """Process a station's next wave (the top of its stack, at most a chunk); return its number of packets.
 
         Raises
         ------
         TracingStopped
-            Nobody waits for the packets any more.
+            The main thread no longer waits for the packets.
         """
         stop_if_unwanted()
         tables, options = self.tables, self.options
@@ -293,7 +292,7 @@ class Workspace:
         elif station == OBJECTS:
             admit_to_objects(wave, origins, directions, frames)
             found = self._find(OBJECTS, count)
-            # Of the lens only its box is of interest there: one compiled kernel for all lenses.
+            # Only the box of the lens is used there: one compiled kernel for all lenses.
             shade_objects(wave, found, clear(lens), self._object_space(flow))
         elif station == LIGHTS:
             ask_lights(wave, self._object_space(flow))
@@ -314,7 +313,7 @@ class Workspace:
         return ObjectSpace(self.options, flow, tables.frames, tables.objects, tables.aim.entrance)
 
     def _by_colour(self, wave: NDArray[np.void]) -> list[NDArray[np.void]]:
-        """Return the packets of a wave wavelength by wavelength: a block of rays has one."""
+        """Return the packets of a wave grouped by wavelength: a block of rays has one."""
         colours = wave["colour"]
         if not self.world.lines.in_bands or not (colours != colours[:1]).any():
             return [wave]
@@ -335,16 +334,16 @@ class Workspace:
 
     @property
     def _children(self) -> int:
-        """Largest number of packets that one adds to the stack of object space."""
+        """Most packets that one packet adds to the stack of object space."""
         # At an interface there are two; at a target one for each lamp that it asks, an aimed and a scattered one.
         asked = min(len(self.tables.objects.lamps.rows), MOST_ASKED)
         if self.tables.objects.volumes is None:
             return asked + CHILDREN
-        # On its way a medium may scatter it too, and ask lamps from two points.
+        # A medium on its way may also scatter it, and ask lamps from two points.
         return 3 * asked + 2 * CHILDREN
 
     def _reserve(self, packets: int) -> None:
-        """Make room for what a wave of packets may add to the tables: deposits, ends, vertices."""
+        """Make room for the deposits, ends and vertices of a wave of packets."""
         if not self.options.adjoint and not self.options.tracing:
             self.deposits = _grown(self.deposits, int(self.tops[DEPOSITS]) + packets)
         if self.options.tracing or self.options.record:
@@ -367,7 +366,7 @@ class Workspace:
 
 
 def _grown(table: NDArray[np.void], need: int) -> NDArray[np.void]:
-    """Return the table, or a larger copy of it when it is shorter than needed."""
+    """Return the table, or a larger copy if it is too short."""
     if need <= len(table):
         return table
     larger = np.zeros(max(need, 2 * len(table)), table.dtype)

@@ -1,4 +1,4 @@
-"""Refuse targets and lamps that reach into the camera, where its housing would not hide them."""
+"""Refuse targets and lamps that reach into the camera."""
 
 from collections.abc import Iterable, Iterator
 
@@ -14,7 +14,7 @@ from lfmesh.scene.light.region import Region
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 
 ROUND = 64
-"""Corners of the polygon round a disk; it is larger by at most 0.12 % of the radius."""
+"""Corners of the polygon around a disk; it is larger by at most 0.12 % of the radius."""
 
 
 def refuse_objects_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array) -> None:
@@ -33,7 +33,7 @@ def refuse_objects_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh
     Raises
     ------
     SceneError
-        The message names the target or lamp and the place.
+        Names the target or lamp and the place.
     """
     radius = np.hypot(housing.vertices[:, 0], housing.vertices[:, 1])
     front, end = housing.vertices[:, 2].min(), housing.vertices[:, 2].max()
@@ -43,7 +43,7 @@ def refuse_objects_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh
 
     # A lamp between the first vertex and the plane of the rim may be in the first lens.
     def beside(vertices: Array, first: float) -> bool:
-        """Tell whether some points, camera frame, are all on one side of the camera."""
+        """Tell whether points, camera frame, all lie on one side of the camera."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         return bool((low >= [barrel, barrel, end]).any() or (high <= [-barrel, -barrel, first]).any())
 
@@ -70,7 +70,7 @@ def _name(scene: Scene, number: int) -> str:
 
 
 def _lamps(scene: Scene, to_camera: Array, beyond: float) -> Iterator[tuple[str, Array, NDArray[np.int64]]]:
-    """Yield the lamps that may reach beyond a z of the camera frame: name, corners in the world frame and polygons."""
+    """Yield the lamps that may reach beyond a z of the camera frame: name, corners (world frame) and polygons."""
     placed = [(i, light.region) for i, light in enumerate(scene.lights)]
     regions = [(i, region) for i, region in placed if region is not None]
     if not regions:
@@ -86,7 +86,7 @@ def _lamps(scene: Scene, to_camera: Array, beyond: float) -> Iterator[tuple[str,
 
 
 def _outline(region: Region) -> Array:
-    """Return a polygon that holds a region, and little more."""
+    """Return a polygon that tightly encloses a region."""
     if not region.is_round:
         return region.corners_mm
     turns = 2.0 * np.pi * np.arange(ROUND) / ROUND
@@ -95,7 +95,7 @@ def _outline(region: Region) -> Array:
 
 
 def _near(corners: Array, barrel: float, front: float, end: float) -> Iterable[Array]:
-    """Return the polygons (n, corners, 3) whose boxes meet that of the barrel."""
+    """Return the polygons (n, corners, 3) with bounding boxes that meet the barrel's."""
     low, high = corners.min(axis=1), corners.max(axis=1)
     near = (low[:, :2] < barrel).all(axis=1) & (high[:, :2] > -barrel).all(axis=1)
     near &= (low[:, 2] < end) & (high[:, 2] > front)

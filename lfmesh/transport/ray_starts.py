@@ -1,4 +1,4 @@
-"""Starts of given rays: the station and the space that each begins in."""
+"""Starts of given rays: the station and the space where each begins."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from lfmesh.transport.world import World
 def located(
     world: World, p: NDArray[np.float64], d: NDArray[np.float64], numbers: NDArray[np.int64] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the station and the space in which each ray starts, and the rays in the camera frame.
+    """Return the station and the space where each ray starts, and the rays in the camera frame.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def located(
     p, d : (n, 3) float64
         Position, mm, and direction, world frame.
     numbers : (n,) int64, optional
-        Numbers of the rays in error messages, if not 0 to n − 1.
+        Ray numbers in error messages, if not 0 to n − 1.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def located(
     to_camera = tables.frames[WORLD_FRAME, CAMERA_FRAME]
     p, d = frame.points(to_camera, p), frame.directions(to_camera, d)
     r = np.hypot(p[:, 0], p[:, 1])
-    # Number of surfaces before each point; beyond its rim a surface continues as the plane of the rim.
+    # Number of surfaces in front of each point; beyond its rim a surface continues as the plane of the rim.
     behind = np.zeros(len(p), np.int64)
     for s, rim in zip(shape.surfaces, shape.rims, strict=True):
         q = in_place(s, p)
@@ -74,7 +74,7 @@ def located(
         behind_front = frame.points(tables.frames[CAMERA_FRAME, SENSOR_FRAME], p)[:, 2] > tables.cover.front_z
         station[after & behind_front] = SENSOR
     space[after] = count
-    # Beside the lens there is air, whichever surfaces lie before the point.
+    # Beside the lens there is air, whichever surfaces lie in front of the point.
     space[station == OBJECTS] = 0
     return station, space, p, d
 
@@ -82,14 +82,14 @@ def located(
 def refuse_starts_in_the_lens(
     station: NDArray[np.int64], space: NDArray[np.int64], surfaces: int, numbers: NDArray[np.int64]
 ) -> None:
-    """Raise where a ray starts in the lens, which the sequential engine does not follow.
+    """Refuse rays that start in the lens, which the sequential engine does not follow.
 
     Parameters
     ----------
     station, space : (n,) int64
-        As `located` returns them.
+        From `located`.
     surfaces : int
-        Number of the lens's.
+        Of the lens.
     numbers : (n,) int64
         Numbers of the rays in the message.
     """

@@ -1,4 +1,4 @@
-"""Conversion of transport settings to the kernels' options, and of the kernels' book to a ledger."""
+"""Conversion of transport settings to kernel options, and of the book to a ledger."""
 
 from typing import Any
 
@@ -28,15 +28,15 @@ from lfmesh.transport.paths.automaton import EVERY
 from lfmesh.transport.world import World
 
 NEAR_LENS = 10.0
-"""Distance of a target from the lens, in radii of its widest surface, up to which light may come back to it. A white
-sheet before an uncoated singlet is 5.2 % brighter by it at half a radius, 0.25 % at four radii, and less than 0.05 % at
-ten."""
+"""Distance of a target from the lens, in radii of its widest surface, below which light may return to the target. It
+makes a white sheet in front of an uncoated singlet 5.2 % brighter at half a radius, 0.25 % at four radii, and less
+than 0.05 % at ten."""
 
 SPLIT_MODE = {"both": BOTH, "roulette": ROULETTE, "transmit": TRANSMIT}
 
 
 def options_of(world: World, *, tracing: bool = False, record: bool = False, **override: Any) -> Options:
-    """Return a scene's transport settings as kernels take them.
+    """Return a scene's transport settings for kernels.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
     tracing, record : bool
         See `Options`.
     **override
-        Options that replace those of the scene, or fields of their `Thinning`.
+        Replacements of the scene's options, or of fields of their `Thinning`.
     """
     transport = world.scene.transport
     tables = world.tables
@@ -56,7 +56,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         adjoint=transport.method == "adjoint" and not tracing,
         tracing=tracing,
         record=record,
-        # Light may go from target to target, unless all facets lie in one plane, far from the lens, and no medium sends
+        # Light may go from target to target unless all facets lie in one plane, far from the lens, and no medium sends
         # it there.
         bounce=not tracing
         and (
@@ -78,7 +78,7 @@ def with_thinning(options: Options, **change: Any) -> Options:
 
 
 def _faces(world: World) -> int:
-    """Return by which surfaces of lens and array are found in a render."""
+    """Return the method, `Options.faces`, to find surfaces of lens and array in a render."""
     transport, tables = world.scene.transport, world.tables
     if engine_of(world.scene)[0] == "sequential":
         return BY_ORDER
@@ -87,7 +87,7 @@ def _faces(world: World) -> int:
 
 
 def _is_near_lens(world: World) -> bool:
-    """Tell whether a target is so near that the lens throws some of its light back onto it."""
+    """Tell whether a target is so near that the lens reflects some of its light back onto it."""
     (eye,) = frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], np.zeros((1, 3)))
     near = NEAR_LENS * max(world.lens_shape.rims)
     return any(body.distance_mm(eye) < near for body in world.targets)

@@ -1,4 +1,4 @@
-"""Threads that trace for the main one, and stop when that no longer waits for them."""
+"""Threads that trace for the main thread, and stop when it no longer waits for them."""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -11,10 +11,9 @@ class TracingStopped(Exception):  # noqa: N818  # no error: nobody waits for wha
 
 
 class Threads(ThreadPoolExecutor):
-    """A pool of threads to trace in, as a context manager: what they trace when its body is left, they stop.
+    """Pool of tracing threads, as a context manager; on leaving its body, all tracing stops.
 
-    So Ctrl-C and SIGTERM, which the main thread receives while it waits for a result, end a run at once, however long
-    a chunk of packets would take.
+    So Ctrl-C and SIGTERM, received by the waiting main thread, end a run at once.
 
     Parameters
     ----------
@@ -31,7 +30,7 @@ class Threads(ThreadPoolExecutor):
 
 
 def stop_if_unwanted() -> None:
-    """End what the calling thread traces, if nobody waits for that any more.
+    """Stop the calling thread's tracing if the main thread no longer waits for it.
 
     Raises
     ------

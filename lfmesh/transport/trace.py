@@ -39,11 +39,11 @@ from lfmesh.transport.world import World
 X_AXIS = (1.0, 0.0, 0.0)
 
 ROUNDING = 1e-12
-"""Share of I by which the polarised part of a given Stokes vector may exceed it."""
+"""Relative excess of a given Stokes vector's polarised part over I that is accepted."""
 
 
 class Settings(TypedDict, total=False):
-    """Further settings of `trace`. Those of transport that are left out or None are taken from the scene's."""
+    """Further settings of `trace`. Transport settings that are omitted or None are the scene's."""
 
     surface: str | None
     engine: str
@@ -73,24 +73,24 @@ def trace(
     world : World
         From `build`.
     origins : (n, 3) float64, mm, world frame
-        Anywhere but inside the array: in object space, in bodies of glass there, in the lens, or between lens, array
-        and sensor. A ray that starts on a face of lens or glass meets it; to go on from a vertex of a recorded path,
-        start a little beyond it.
+        Anywhere but inside the array: in object space and its bodies of glass, in the lens, or between lens, array and
+        sensor. A ray that starts on a face of lens or glass meets it; to continue from a recorded vertex, start
+        slightly beyond it.
     directions : (n, 3) float64
         Any length but zero.
     wavelength_nm : float, optional
-        The scene's primary wavelength if left out.
+        Default: the scene's primary wavelength.
     split : {"both", "roulette", "transmit"}
-        Follow both children at an interface, one at random, or the refracted one with weight T.
+        At an interface, follow both children, one at random, or the refracted one with weight T.
     record : bool
         Keep every vertex, see `Paths.vertices`.
     stokes : (4,) or (n, 4) float64, optional
-        I, Q, U and V of the rays, in a scene with `transport.polarisation`; weights then begin at I. Omitted, the rays
-        are unpolarised, with I = 1. For the conventions see `optics.polarisation`.
+        I, Q, U and V of the rays, in a scene with `transport.polarisation`; weights then begin at I. Default:
+        unpolarised rays with I = 1. For the conventions see `optics.polarisation`.
     seed : int
         Seed of the roulette.
     threads : int
-        0: all processors. The result does not depend on it.
+        Number of threads, 0 for all processors. Does not affect the result.
 
     Returns
     -------
@@ -101,26 +101,25 @@ def trace(
     surface : str
     max_events : int
     weight_cutoff : float
-        In place of the scene's transport settings.
+        Override the scene's transport settings.
     reference : (3,) or (n, 3) float64
-        Direction that Q and U of `stokes` refer to, world frame: its part square to the ray counts. For rays along it,
-        y takes its place. The x axis if left out.
+        Reference direction of Q and U, world frame; its component perpendicular to the ray counts. For rays along it,
+        the y axis replaces it. Default: the x axis.
     engine : {"mesh", "sequential"}
-        "sequential" meets the exact surfaces of lens and array in their order, many times quicker: refracted rays only
-        (`split="transmit"`), nothing recorded, and a ray that total reflection turns off the image path has no packet.
-        It is quickest for rays that can meet nothing but the camera: they go from the given arrays through blocks
-        straight to the result. "mesh" if left out.
+        Default "mesh". "sequential" meets the exact surfaces of lens and array in their order and is many times faster.
+        It follows refracted rays only (`split="transmit"`), records nothing, and drops rays that total reflection turns
+        off the image path. It is fastest for rays that can meet only the camera, which are traced in blocks.
 
     Warns
     -----
     LostEnergyWarning
-        More energy was lost than rounding explains; the warning names the bodies in which.
+        More energy was lost than rounding explains; names the bodies.
 
     Raises
     ------
     LfmeshError
         Rays have the wrong shape, no direction, values that are not finite, or start inside the array; Stokes vectors
-        are not those of light, or the scene has none; or a setting is out of range.
+        are not physical, or given for a scene without polarisation; or a setting is out of range.
     """
     p, d = _arrays(origins, directions)
     wavelength_nm = world.scene.primary_nm if wavelength_nm is None else wavelength_nm
@@ -153,7 +152,7 @@ def trace(
 
 
 def check_whole(**values: object) -> None:
-    """Raise where a setting that counts is no whole number."""
+    """Refuse settings that are not whole numbers."""
     for name, value in values.items():
         whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
         if not whole:
@@ -161,7 +160,7 @@ def check_whole(**values: object) -> None:
 
 
 def check_numbers(**values: object) -> None:
-    """Raise where a setting is no number."""
+    """Refuse settings that are not numbers."""
     for name, value in values.items():
         number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
         if not number:
@@ -169,7 +168,7 @@ def check_numbers(**values: object) -> None:
 
 
 def shown(value: object) -> str:
-    """Return a value for a message, cut short where it is long."""
+    """Return a value for a message, truncated if long."""
     text = literal(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -178,10 +177,10 @@ def _options(
     world: World, record: bool, split: str, surface: str | None = None, engine: str = "mesh",
     max_events: int | None = None, weight_cutoff: float | None = None,
 ) -> Options:  # fmt: skip
-    """Return the scene's settings with those of the call in their place."""
+    """Return the scene's settings with overrides by the call."""
     transport = world.scene.transport
     level = transport.surface if surface is None else surface
-    # Plain numbers: for others numba would compile the kernels once more.
+    # Plain numbers: for other types numba would compile the kernels again.
     depth = int(transport.max_events if max_events is None else max_events)
     cutoff = float(transport.weight_cutoff if weight_cutoff is None else weight_cutoff)
     for name, word in (("split", split), ("surface", level), ("engine", engine)):
@@ -229,7 +228,7 @@ def _arrays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float
 
 
 class _States(NamedTuple):
-    """States of polarisation of rays: I; Q, U and V over I; reference directions square to the rays, world frame."""
+    """States of polarisation of rays: I; Q, U and V over I; reference directions across the rays, world frame."""
 
     power: NDArray[np.float64]
     stokes: NDArray[np.float64]
@@ -237,7 +236,7 @@ class _States(NamedTuple):
 
 
 def _states(stokes: ArrayLike, reference: ArrayLike, d: NDArray[np.float64]) -> _States:
-    """Return the states of rays with unit directions; refuse Stokes vectors that no light has."""
+    """Return the states of rays with unit directions; refuse unphysical Stokes vectors."""
     try:
         given = np.broadcast_to(np.asarray(stokes, dtype=np.float64), (len(d), 4))
         axis = np.broadcast_to(np.asarray(reference, dtype=np.float64), d.shape)
@@ -257,7 +256,7 @@ def _states(stokes: ArrayLike, reference: ArrayLike, d: NDArray[np.float64]) -> 
 
 
 def _unit_directions(p: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the directions with unit length; refuse rays that are none."""
+    """Return the directions with unit length; refuse invalid rays."""
     with np.errstate(over="ignore"):
         length = np.linalg.norm(d, axis=1, keepdims=True)
     bad = ~(np.isfinite(p).all(axis=1) & np.isfinite(length[:, 0]) & (length[:, 0] > 0.0))
@@ -274,7 +273,7 @@ def _unit_directions(p: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[
 def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     """Return the tables of a world with media and interfaces at one wavelength.
 
-    Those of some wavelengths are kept: many short calls of `trace` would spend much of their time on them.
+    Some are cached, to speed up many short calls of `trace`.
     """
     kept: Kept[Tables] = world.kept.setdefault("tables at a wavelength", Kept())
     return kept.of(wavelength_nm, lambda: _at_wavelength(world, wavelength_nm))
@@ -295,7 +294,7 @@ def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
     if objects.glass is not None:
         objects = objects._replace(glass=objects.glass._replace(interfaces=interfaces.objects))
     if objects.volumes is not None:
-        # What media emit has a width in wavelength; what they take, and how they scatter, is that of this wavelength.
+        # The emission of media has a spectral width; absorption and scattering are for this wavelength.
         line = Lines.single((wavelength_nm,))
         hosts = hosts_of(world.scene, world.targets, objects.rank, objects.medium, objects.media)
         volumes, own = volumes_at(objects.volumes, world.scene, tables.frames, line, hosts)
@@ -327,7 +326,7 @@ def _kept(work: Workspace, _: range) -> tuple[Records, Records, NDArray[np.float
 
 
 def joined_records(parts: Iterable[tuple[Records, Records]]) -> tuple[Records, Records]:
-    """Join the ends and the vertices that several chunks recorded into one table each, with numbers adjusted."""
+    """Join the ends and vertices of chunks into one table each, with numbers adjusted."""
     shift = 0
     all_ended, all_nodes = [], [np.zeros(0, NODE)]
     for ended, nodes in parts:
@@ -352,14 +351,14 @@ class _Call(NamedTuple):
     def ended(
         self, p: NDArray[np.float64], d: NDArray[np.float64], numbers: NDArray[np.int64]
     ) -> tuple[Records, Records, NDArray[np.float64], NDArray[np.int64]]:
-        """Trace rays as packets; return the ends in the order of the rays, the vertices, the book and the counts.
+        """Trace rays as packets; return ends (in the order of the rays), vertices, book and counts.
 
         Parameters
         ----------
         p, d : (n, 3) float64
             Position, mm, and unit direction, world frame.
         numbers : (n,) int64
-            Numbers of the rays in error messages.
+            Ray numbers in error messages.
         """
         world = self.world
         inside = glass_round(world.tables.objects, world.targets, p)
@@ -379,18 +378,18 @@ class _Call(NamedTuple):
         return ended[np.argsort(ended["source"], kind="stable")], nodes, book, counts
 
     def ledger(self, book: NDArray[np.float64], counts: NDArray[np.int64], rays: int) -> Ledger:
-        """Return the ledger of so many rays."""
+        """Return the ledger for a number of rays."""
         return ledger_of(book, counts, self.world, rays, "of the rays' power")
 
 
 def _absorbs(tables: Tables) -> bool:
-    """Tell whether lens or array absorb, in which the power of a ray that is traced twice would be entered twice."""
+    """Tell whether lens or array absorb: the power of a ray traced twice would then be entered twice."""
     parts = tables.lens, tables.mla
     return any(part.media.absorption is not None or (part.interfaces.rows["kind"] == ABSORBING).any() for part in parts)
 
 
 def _as_packets(call: _Call, p: NDArray[np.float64], d: NDArray[np.float64]) -> Paths:
-    """Trace rays as packets, whose children may be many."""
+    """Trace rays as packets, with any number of children."""
     ended, nodes, book, counts = call.ended(p, _unit_directions(p, d), np.arange(len(p)))
     stokes = reference = None
     if call.tables.polarised is not None:
@@ -416,9 +415,9 @@ def _as_packets(call: _Call, p: NDArray[np.float64], d: NDArray[np.float64]) -> 
 
 
 def _in_blocks(call: _Call, p: NDArray[np.float64], d: NDArray[np.float64]) -> Paths:
-    """Trace rays along the image path in blocks, and those as packets that may meet more than lens, array and sensor.
+    """Trace rays along the image path in blocks, and rays that may meet other things as packets.
 
-    No ray has more than one end, so each has its row in the result from the beginning, and nothing is sorted.
+    No ray has more than one end, so each has a fixed row in the result.
     """
     world = call.world
     ends, book, counts = followed(call.tables, world.surroundings, len(world.slots), p, d, call.threads)
@@ -437,7 +436,7 @@ def _in_blocks(call: _Call, p: NDArray[np.float64], d: NDArray[np.float64]) -> P
     shown: Any = ends.fate == ENDED
     source = np.flatnonzero(shown)
     if len(source) == len(p):
-        # Nothing is left out, and nothing need be copied.
+        # All rays have an end, so nothing need be copied.
         shown = slice(None)
     return Paths(
         ends.position[shown],

@@ -1,4 +1,4 @@
-"""Paths of given rays: their ends, and every vertex where they were recorded."""
+"""Paths of given rays: their ends, and every vertex if recorded."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +15,7 @@ from lfmesh.transport.world import World
 
 @dataclass(frozen=True)
 class Vertex:
-    """One recorded point of a path."""
+    """Recorded point of a path."""
 
     position: NDArray[np.float64]
     """(3,) mm, world frame."""
@@ -28,28 +28,28 @@ class Vertex:
 
 @dataclass(frozen=True)
 class Paths(Shown):
-    """The ends of all packets of a trace, one row for each, in the order of the input rays.
+    """Ends of all packets of a trace, one row per packet, in the order of the input rays.
 
     Attributes
     ----------
     position : (n, 3) float64, mm, world frame
     direction : (n, 3) float64, unit
     weight : (n,) float64
-        Share of the ray's power that the packet holds.
+        Share of the ray's power in the packet.
     status : (n,) int64
-        `Status` of each.
+        `Status` of each packet.
     source : (n,) int64
         Index of the input ray.
     events : (n,) int64
         Number of interfaces met.
     body : list of str
-        Name of the body that each ended on.
+        Body that each packet ended on.
     ledger : Ledger
     stokes : (n, 4) float64, optional
-        I, Q, U and V of the packets of a scene with `transport.polarisation`; I is the weight. For the conventions see
+        I, Q, U and V of the packets in a scene with `transport.polarisation`; I is the weight. For the conventions see
         `optics.polarisation`.
     reference : (n, 3) float64, unit, world frame, optional
-        The direction that Q and U refer to, square to `direction`.
+        Reference direction of Q and U, perpendicular to `direction`.
     """
 
     position: NDArray[np.float64]
@@ -76,7 +76,7 @@ class Paths(Shown):
 
     @cached_property
     def body(self) -> list[str]:
-        """Name of the body that each ended on, made at the first use."""
+        """Name of the body that each packet ended on, computed at the first use."""
         names: list[str] = np.array(self._world.slots, dtype=object)[self._slot].tolist()
         return names
 
@@ -86,7 +86,7 @@ class Paths(Shown):
         Parameters
         ----------
         packet : int
-            Its row in the result.
+            Row of the packet in the result.
 
         Returns
         -------

@@ -35,7 +35,8 @@ MOST_SAMPLES = CHUNK
 class DepthTruth(Pictured):
     """Distances of targets before the first vertex, along its axis; glass targets are looked through.
 
-    NaN if no ray passes the lens, inf if rays pass and meet nothing.
+    NaN if no ray passes the lens, inf if rays pass and meet nothing. A target with an opacity below 1 stops each ray
+    with that probability: a chief ray gives the distance of the target or of what lies behind it.
 
     Attributes
     ----------

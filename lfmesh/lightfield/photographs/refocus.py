@@ -44,7 +44,8 @@ def refocus(
     method : {"shift", "fourier"}
         "shift" averages the shifted views, interpolated linearly between samples; unknown samples are ignored.
         "fourier" takes a slice of the light field's Fourier transform (R. Ng, "Fourier Slice Photography", SIGGRAPH
-        2005): exact without detail finer than a sample, for views continued beyond their borders.
+        2005): exact without detail finer than a sample, for views continued beyond their borders. Beside samples that
+        some views do not know it rings, which the standard error does not cover; use "shift" there.
 
     Returns
     -------

@@ -1,1 +1,1 @@
-"""Targets and bodies of glass as meshes, their pictures and places."""
+"""Targets and bodies of glass: their meshes, exact round faces, pictures and places."""

@@ -1,4 +1,4 @@
-"""One picture for a whole target: the pictures and plain colours of its pieces, stacked, repeats unrolled."""
+"""Texture atlas of a target: the pictures and plain colours of its pieces, stacked, with repeats unrolled."""
 
 from typing import NamedTuple
 
@@ -10,31 +10,25 @@ from lfmesh.geometry.meshes.mesh import Array, Index
 from lfmesh.geometry.objects.texture import Texture
 
 MAX_TEXELS = 2**27
-"""1.6 GB of linear light."""
+"""Largest size of an atlas: 1.6 GB of linear light."""
 
 _NOISE = 1e-6
-"""Largest overshoot of a uv beyond the picture by rounding, in pictures, that asks for no further repeat."""
+"""Overshoot of a uv, in pictures, that counts as rounding and adds no repeat."""
 
 
 PERIODS = {"repeat": 1, "mirror": 2}
-"""After how many pictures one that goes on is as before."""
+"""Period of each wrap mode, in pictures."""
 
 
 def atlas(name: str, pieces: list[Piece]) -> tuple[Array | None, Texture | None]:
-    """Return the uv (m, 3, 2) of all pieces' facets, within 0..1, and the one texture they point into.
+    """Return the uv (m, 3, 2) of the facets of all pieces, within 0..1, and the texture that they share.
 
-    (None, None) for pieces without uv and colour, (uv, None) for uv without colour.
-
-    Parameters
-    ----------
-    name : str
-        Of the mesh file, for the error message.
-    pieces : list of Piece
+    (None, None) for pieces without uv and colour, (uv, None) for uv without colour. `name` is for error messages.
 
     Raises
     ------
     MeshError
-        A picture repeats so often over the mesh that unrolling it would not fit `MAX_TEXELS`.
+        The unrolled repeats of the pictures exceed `MAX_TEXELS`.
     """
     if all(piece.picture is None and np.all(piece.factor == 1.0) for piece in pieces):
         if any(piece.uv is None for piece in pieces):
@@ -64,7 +58,7 @@ def atlas(name: str, pieces: list[Piece]) -> tuple[Array | None, Texture | None]
 
 
 def _tile(name: str, pieces: list[Piece]) -> tuple[Texture, list[Array]]:
-    """Return the coloured picture that pieces share, unrolled, and their corners in its texels (x, y)."""
+    """Return the picture of pieces that share one, coloured and unrolled, and their corners in its texels (x, y)."""
     first = pieces[0]
     if first.picture is None or first.uv is None:
         plain = first.factor.astype(np.float32).reshape(1, 1, -1)
@@ -86,7 +80,7 @@ def _tile(name: str, pieces: list[Piece]) -> tuple[Texture, list[Array]]:
 
 
 class _Unrolled(NamedTuple):
-    """Places in a picture along one axis, in pictures from the first that is shown, and which are shown."""
+    """Places along one axis, in pictures from the first one shown, and the range of pictures shown."""
 
     folded: list[Array]
     start: int
@@ -94,9 +88,9 @@ class _Unrolled(NamedTuple):
 
 
 def _unrolled(places: list[Array], wrap: str) -> _Unrolled:
-    """Return places, (m, 3) a piece, folded by the picture's period, with no facet torn.
+    """Return places, (m, 3) for each piece, folded by the period of the picture without tearing a facet.
 
-    A picture whose edge goes on has no period: all that any facet shows of it is unrolled.
+    A clamped picture has no period: everything that a facet shows of it is unrolled.
     """
     least = [np.floor(place.min(axis=1, keepdims=True) + _NOISE) for place in places]
     if wrap == "clamp":
@@ -111,7 +105,7 @@ def _unrolled(places: list[Array], wrap: str) -> _Unrolled:
 
 
 def _texels(shown: _Unrolled, size: int, wrap: str) -> Index:
-    """Return the texel of the picture at each place of those that are shown, along an axis of a number of texels."""
+    """Return the picture's texel at each place shown along an axis of `size` texels."""
     number = np.arange(shown.start * size, shown.stop * size)
     if wrap == "clamp":
         return np.clip(number, 0, size - 1)
@@ -122,7 +116,7 @@ def _texels(shown: _Unrolled, size: int, wrap: str) -> Index:
 def _stacked(tiles: list[Texture]) -> tuple[Texture, list[Index]]:
     """Stack tiles from the top down; return the sheet and each tile's corner (x, y) in it.
 
-    Each tile is widened by copies of its border, so that interpolating there does not see its neighbour.
+    Copies of its border widen each tile, so that interpolation does not reach the next tile.
     """
     if len(tiles) == 1:
         return tiles[0], [np.zeros(2, dtype=np.int64)]

@@ -1,4 +1,4 @@
-"""Pictures of metallic and roughness on a target: one for all its pieces, and the materials that they span."""
+"""Metallic and roughness pictures of a target: one atlas for all pieces, and the materials that they span."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -24,10 +24,10 @@ class GlossOnFacets(NamedTuple):
     uv : (m, 3, 2) float64
         As `TargetMesh.uv`, in this picture.
     picture : (h, w, 2) float32
-        Roughness as a glTF file gives it, and metallic.
+        glTF roughness, and metallic.
     ranges : tuple of GltfRange
     range_of : (m,) int64
-        Which of them each facet has; −1: none, its material is the same all over.
+        Index in `ranges` of each facet; −1 for a facet of uniform material.
     """
 
     uv: Array
@@ -36,12 +36,12 @@ class GlossOnFacets(NamedTuple):
     range_of: Index
 
     def of(self, facets: NDArray[np.bool_]) -> "GlossOnFacets":
-        """Return that of chosen facets, by a mask (m,)."""
+        """Return the entries of the facets in a mask (m,)."""
         return self._replace(uv=self.uv[facets], range_of=self.range_of[facets])
 
 
 def without_even_gloss(piece: Piece) -> Piece:
-    """Return a piece with its picture of metallic and roughness in its material, if it is the same all over."""
+    """Return a piece with a uniform picture of metallic and roughness moved into its material."""
     if piece.gloss is None or piece.material is None:
         return replace(piece, gloss=None)
     factors = piece.gloss.picture[0, 0].astype(np.float64)
@@ -54,18 +54,12 @@ def without_even_gloss(piece: Piece) -> Piece:
 
 
 def gloss_on_facets(name: str, pieces: list[Piece]) -> GlossOnFacets | None:
-    """Return metallic and roughness of pieces by one picture; None where none has a picture.
-
-    Parameters
-    ----------
-    name : str
-        Of the mesh file, for messages.
-    pieces : list of Piece
+    """Return metallic and roughness of all pieces in one picture; None if no piece has a picture.
 
     Raises
     ------
     MeshError
-        A picture repeats so often that it does not fit, see `atlas`.
+        A picture repeats so often that it does not fit, see `atlas`; the message begins with `name`.
     """
     if all(piece.gloss is None for piece in pieces):
         return None
@@ -91,6 +85,6 @@ def gloss_on_facets(name: str, pieces: list[Piece]) -> GlossOnFacets | None:
 
 
 def _range_of(material: GltfMaterial, picture: Texture) -> GltfRange:
-    """Return the materials that a picture, (h, w, 2), of factors of roughness and metallic asks for."""
+    """Return the range of materials spanned by a picture (h, w, 2) of roughness and metallic factors."""
     ends = np.array([picture.min(axis=(0, 1)), picture.max(axis=(0, 1))], np.float64)
     return GltfRange.of(material.base, ends[:, 1] * material.metallic, ends[:, 0] * material.roughness)

@@ -1,6 +1,6 @@
 """Places of a scene's targets as the camera sees them: boxes, distances, share of the field, and warnings.
 
-Every mesh and picture is loaded for it; no ray is traced, so that bodies in front of each other do not count.
+All meshes and pictures are loaded. No ray is traced, so occlusion does not count.
 """
 
 import math
@@ -25,17 +25,17 @@ from lfmesh.scene.light.lights import Light
 from lfmesh.scene.quantities import SMALLEST
 
 LARGE_MM = 1000.0
-"""Size from which on a body of a mesh file that does not fit into the field is suspected of a wrong unit."""
+"""Size above which a mesh file that overfills the field is suspected of a wrong unit."""
 
 MOST_NAMED = 8
-"""Largest number of lamps that are named as lighting a target."""
+"""Largest number of lamps named as lighting a target."""
 
 MOST_SEEN = 4.0
-"""Widths of the field that such a body is larger than."""
+"""Ratio of a body's size to the width of the field from which its unit is suspected."""
 
 
 HIDES = "is closed round the camera: its inside is black, and hides everything else"
-"""Of an opaque body."""
+"""Warning about an opaque body."""
 
 
 @dataclass(frozen=True)
@@ -45,22 +45,21 @@ class Placement:
     Attributes
     ----------
     name : str
-        Its path in the scene file, and its own name or file.
+        Path in the scene file, and its own name or file.
     low, high : (3,) float64
         Corners of its box in the world, mm.
     nearest_mm, farthest_mm : float
-        Distances of its ends before the first vertex, along the axis; negative behind it.
+        Axial distances of its ends in front of the first vertex; negative behind it.
     share : float
-        Of the field of view that the box round its picture fills, 0..1.
+        Fraction of the field of view filled by the box round its picture, 0..1.
     facets : int
-        0 where rays meet its round surface itself.
+        Number of facets; 0 if rays meet its exact round surface.
     picture : tuple of int, or None
         Width and height of its texture.
     lit_by : tuple of str, or None
-        Lamps that stand before a side that the camera sees and shine its way. None where the camera sees no such side,
-        or the target is of glass.
+        Lamps in front of a visible side that shine towards it. None if no side is visible or the target is of glass.
     contents : str
-        Counts of its mesh file, beside those of what is held; "" where nothing is counted.
+        Element counts of its mesh file, and of the part loaded where they differ; "" if not counted.
     warnings : tuple of str
     """
 
@@ -77,7 +76,7 @@ class Placement:
     warnings: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Return what is known in words, its warnings last, as notes."""
+        """Describe the place in lines of text, warnings last as notes."""
         box = ", ".join(
             f"{axis} {low:.5g} to {high:.5g}" for axis, low, high in zip("xyz", self.low, self.high, strict=True)
         )
@@ -95,18 +94,18 @@ class Placement:
 
 
 def _named(lamps: tuple[str, ...]) -> str:
-    """Return the names of lamps, and the number of the rest where there are many."""
+    """Return the names of the first lamps, and the number of the others."""
     more = len(lamps) - MOST_NAMED
     return ", ".join(lamps[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def placements(scene: Scene) -> list[Placement]:
-    """Load every target of a scene and tell where it stands.
+    """Load every target of a scene and locate it.
 
     Raises
     ------
     LfmeshError
-        The scene cannot be solved, or a mesh or a picture cannot be used.
+        The scene cannot be solved, or a mesh or picture cannot be used.
     """
     camera = solved_camera(scene)
     return [_placement(camera.scene, camera.report, number) for number in range(len(camera.scene.targets))]
@@ -139,10 +138,10 @@ def _placement(scene: Scene, facts: FirstOrder, number: int) -> Placement:
 
 
 def _before_the_camera(facets: Array) -> Array:
-    """Return corners (n, 3) of the parts of facets (m, 3, 3), camera frame, that lie before the first vertex, mm.
+    """Return corners (n, 3) of the parts of facets (m, 3, 3) in front of the first vertex, camera frame, mm.
 
-    Half the width of the field is a convex function of z: a facet comes into the field no further than its corners
-    tell, and where all of these are beyond one edge of it, so is the facet.
+    As the half-width of the field is convex in z, a facet reaches no further into the field than its corners, and lies
+    outside if all of them are beyond one edge.
     """
     start, end = facets.reshape(-1, 3), np.roll(facets, -1, axis=1).reshape(-1, 3)
     passes = (start[:, 2] < 0.0) != (end[:, 2] < 0.0)
@@ -154,11 +153,11 @@ def _before_the_camera(facets: Array) -> Array:
 
 
 def _contents(scene: Scene, target: Target) -> str:
-    """Return the counts of a target's mesh file, and those of what is read of it where they differ."""
+    """Return the element counts of a target's mesh file, and of the part loaded where they differ."""
     if target.file is None or (told := counted(scene.resolve(target.file), target.node)) is None:
         return ""
     with warnings.catch_warnings():
-        # They have been said when the target was made.
+        # These warnings were given when the target was made.
         warnings.simplefilter("ignore", LensFileWarning)
         read = held(load_mesh(scene.resolve(target.file), target.units))
     return f"{told}" if read == told else f"{told}; read are {read}: see the warnings"
@@ -168,8 +167,8 @@ def _warnings(
     scene: Scene, facts: FirstOrder, target: Target, body: TargetMesh, seen: Array, share: float,
     lit_by: tuple[str, ...] | None,
 ) -> Iterator[str]:  # fmt: skip
-    """Yield what is likely to disappoint about a target; `seen` are its corners in the camera frame, mm."""
-    # The first-order report tells by itself where shapes stand, unless the camera has moved.
+    """Yield likely mistakes in a target's placement; `seen` are its corners in the camera frame, mm."""
+    # The first-order report locates shapes itself, unless the camera has moved.
     told = target.shape is not None and not any(scene.camera.pose.shift_mm) and not any(scene.camera.pose.tilt_deg)
     low, high = seen.min(axis=0), seen.max(axis=0)
     size = float((high - low).max())
@@ -204,7 +203,7 @@ def _warnings(
 
 
 def _size(target: Target, facts: FirstOrder, size_mm: float, z_mm: float) -> Iterator[str]:
-    """Suspect the unit of a mesh file where its body is huge, or too small for the camera to see, at its place."""
+    """Suspect the unit of a mesh file if its body is huge, or too small for the camera to resolve."""
     file = target.file if target.refractor is None else target.refractor.file
     if file is None or z_mm >= 0.0:
         return
@@ -233,14 +232,14 @@ def _sensor_z_mm(scene: Scene) -> float:
 
 
 def is_round(body: TargetMesh, eye: Array) -> bool:
-    """Tell whether a closed body that hides what is behind it holds the camera's first vertex."""
+    """Tell whether a closed body without transparency surrounds the camera's first vertex."""
     if not body.closed or body.alpha is not None:
         return False
     return bool(body.holds(eye[None])[0])
 
 
 def in_field(points: Array, facts: FirstOrder) -> Array:
-    """Return (n, 2) where points of the camera frame, before the lens, stand in the field, whose edges are ±1."""
+    """Return (n, 2) positions in the field, its edges at ±1, of camera-frame points in front of the lens."""
     z, which = np.unique(points[:, 2], return_inverse=True)
     half = np.array([half_field_mm(float(depth), facts) for depth in z]).reshape(-1, 2)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -248,7 +247,7 @@ def in_field(points: Array, facts: FirstOrder) -> Array:
 
 
 def share_of_field(picture: Array) -> float:
-    """Return the share of the field that the box round a picture fills."""
+    """Return the fraction of the field filled by the box round a picture."""
     low, high = np.clip(picture.min(axis=0), -1.0, 1.0), np.clip(picture.max(axis=0), -1.0, 1.0)
     if (picture.min(axis=0) > 1.0).any() or (picture.max(axis=0) < -1.0).any():
         return 0.0
@@ -256,9 +255,9 @@ def share_of_field(picture: Array) -> float:
 
 
 def _facets_in_front(body: TargetMesh, scene: Scene) -> tuple[Array, Array, Array]:
-    """Return centres, normals and radii about the centres of the facets a part of which stands before the camera.
+    """Return world-frame centres, normals and radii of the facets that reach in front of the camera.
 
-    In the world frame. A facet comes before the first vertex where one of its corners does.
+    A facet counts if one of its corners is in front of the first vertex.
     """
     pose = scene.camera.pose
     normals, areas = facet_normals(body.mesh)
@@ -282,15 +281,9 @@ def _is_black(target: Target, body: TargetMesh) -> bool:
 
 
 def _lamps(scene: Scene, target: Target, body: TargetMesh, to_world: Array) -> tuple[str, ...] | None:
-    """Return the lamps that shine on a side of an opaque target that the camera sees; None where it sees no such side.
+    """Return the lamps that shine on a visible side of an opaque target; None if no side is visible.
 
-    Parameters
-    ----------
-    scene : Scene
-    target : Target
-    body : TargetMesh
-    to_world : (4, 4) float64
-        From the camera frame.
+    `to_world` is the transform from the camera frame.
     """
     if target.refractor is not None:
         return None
@@ -309,9 +302,9 @@ def _lamps(scene: Scene, target: Target, body: TargetMesh, to_world: Array) -> t
 
 
 def _lit(light: Light, points: Array, normals: Array, radii: Array) -> NDArray[np.bool_]:
-    """Tell of each facet, given its centre and radius, whether a lamp is before it and shines its way.
+    """Tell for each facet whether a lamp is in front of it and shines towards it.
 
-    Spheres stand for facet and lamp: a lamp that shines past a facet may count, one that shines on it always does.
+    Bounding spheres replace facet and lamp: a near miss may count as lit, a lit facet always does.
     """
     region = light.region
     if region is None:

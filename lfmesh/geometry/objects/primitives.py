@@ -1,9 +1,8 @@
-"""Meshes of the primitive targets, and where in a picture their corners lie.
+"""Meshes of the primitive targets, with their texture coordinates.
 
-A picture reads correctly from outside the body: right × up is the outward normal everywhere. Its top lies towards
-+y, on faces that look along ±y towards ∓z; so its right lies towards +x on the face that looks along +z, towards the
-camera. A plane or a disk is one sheet whose outside is its +z side: seen from behind, its picture is mirrored, as
-print that shows through paper.
+A picture reads correctly from outside the body: right × up is the outward normal. Its top lies towards +y, or towards
+∓z on faces that look along ±y. On the face that looks along +z, towards the camera, right is therefore +x. A plane or
+disk is one sheet with its outside at +z: from behind, its picture is mirrored.
 """
 
 from collections.abc import Callable
@@ -18,17 +17,17 @@ from lfmesh.geometry.surfaces.tessellation import disk_pattern, revolved
 from lfmesh.scene.objects.shapes import Box, Cylinder, Disk, Plane, Shape, Solid, Sphere
 
 RINGS = 20
-"""Of triangles, in a disk. Its 120 chords leave 3.4e-4 of the radius, a sphere's facets of 3° 6.9e-4."""
+"""Rings of triangles in a disk. Its 120 chords leave 3.4e-4 of the radius, the 3° facets of a sphere 6.9e-4."""
 
 COARSE = 4
-"""Rings of a mesh that only has to enclose a round shape."""
+"""Rings of a mesh that only encloses a round shape."""
 
 KEPT = 16
-"""Number of shapes whose meshes are kept."""
+"""Number of meshes in the cache."""
 
 
 class Primitive(NamedTuple):
-    """A mesh, mm, and the place (m, 3, 2) of every facet's corners in a picture; None: it has none."""
+    """Mesh, mm, and the texture coordinates (m, 3, 2) of its facets' corners, if it has any."""
 
     mesh: Mesh
     uv: Array | None
@@ -36,13 +35,13 @@ class Primitive(NamedTuple):
 
 @lru_cache(maxsize=KEPT)
 def primitive(shape: Shape) -> Primitive:
-    """Return the mesh of a shape in its own frame; equal shapes share it."""
+    """Return the mesh of a shape in its own frame, shared by equal shapes."""
     return _MAKERS[type(shape)](shape)
 
 
 @lru_cache(maxsize=KEPT)
 def hull(shape: Disk | Sphere | Cylinder, rings: int = COARSE) -> Mesh:
-    """Return a mesh in the shape's own frame that encloses it; the more rings, the more closely."""
+    """Return a mesh in the shape's own frame that encloses it, more tightly with more rings."""
     if isinstance(shape, Sphere):
         mesh = sphere(shape, rings).mesh
         nearest = np.einsum("ij,ij->i", facet_normals(mesh)[0], mesh.vertices[mesh.faces[:, 0]]).min()
@@ -53,7 +52,7 @@ def hull(shape: Disk | Sphere | Cylinder, rings: int = COARSE) -> Mesh:
 
 
 def plane(shape: Plane) -> Primitive:
-    """Return a rectangle that faces +z, of two facets; it carries the whole picture."""
+    """Return a rectangle of two facets that faces +z and carries the whole picture."""
     corners = _SQUARE * [0.5 * shape.width_mm, 0.5 * shape.height_mm]
     return Primitive(Mesh(_at_height(corners, 0.0), _TWO_FACETS), _uv(_SQUARE)[_TWO_FACETS])
 
@@ -65,7 +64,7 @@ def disk(shape: Disk, rings: int = RINGS) -> Primitive:
 
 
 def box(shape: Box) -> Primitive:
-    """Return a box of twelve facets; every face carries the whole picture."""
+    """Return a box of twelve facets, with the whole picture on each face."""
     half = 0.5 * np.array(shape.size_mm)
     vertices = np.concatenate(
         [(_SQUARE @ np.array([right, up]) + np.cross(right, up)) * half for right, up in _BOX_FACES]
@@ -76,7 +75,7 @@ def box(shape: Box) -> Primitive:
 
 
 def solid_of_glass(shape: Solid) -> Mesh:
-    """Return the mesh of a closed shape, with the facets' own normals at their corners."""
+    """Return the mesh of a closed shape with facet normals at its corners."""
     mesh = primitive(shape).mesh
     return Mesh(mesh.vertices, mesh.faces, np.repeat(facet_normals(mesh)[0][:, None, :], 3, axis=1))
 
@@ -110,15 +109,14 @@ def sphere(shape: Sphere, rings: int = RINGS) -> Primitive:
 def cylinder(shape: Cylinder, rings: int = RINGS) -> Primitive:
     """Return a closed cylinder along z.
 
-    Its ends carry the picture as disks do. The wall carries it once round, with its middle towards +y and its top
-    towards -z, as a box's face that looks along +y does: it stands, and faces the camera, when the cylinder is
-    rotated by 90° about x.
+    Its ends carry the picture as disks do. On the wall the picture goes once round, its middle towards +y and its top
+    towards -z, as on the +y face of a box: rotated by 90° about x, the cylinder stands upright.
     """
     points, faces = _unit_disk(rings)
     azimuths = _azimuths(rings)
     half = 0.5 * shape.height_mm
     rim = shape.radius_mm
-    # The polyline runs towards -z, so that the wall faces away from the axis.
+    # The polyline runs towards -z, so that the wall faces outwards.
     wall = revolved(np.array([[rim, half], [rim, -half]]), azimuths)
     front, back = _at_height(points * rim, half), _at_height(points * rim, -half)
     uv_disk = _uv(points)
@@ -147,7 +145,7 @@ _BOX_FACES = (
     ((1, 0, 0), (0, 0, -1)),
     ((1, 0, 0), (0, 0, 1)),
 )
-"""Right and top of a picture on the faces that look along +z, -z, +x, -x, +y, -y."""
+"""Right and up directions of the picture on the +z, -z, +x, -x, +y and -y faces."""
 
 _MAKERS: dict[type, Callable[[Any], Primitive]] = {
     Plane: plane,
@@ -159,7 +157,7 @@ _MAKERS: dict[type, Callable[[Any], Primitive]] = {
 
 
 def _uv(points: Array) -> Array:
-    """Place points of the square from -1 to 1 (right, up) in a picture whose bottom left is (0, 0)."""
+    """Map points of the square from -1 to 1 (right, up) to texture coordinates, (0, 0) at the bottom left."""
     return 0.5 + 0.5 * points
 
 
@@ -168,7 +166,7 @@ def _at_height(points: Array, z: float) -> Array:
 
 
 def _azimuths(rings: int) -> int:
-    """Return the number of vertices on the outermost of some rings."""
+    """Return the number of vertices on the outermost ring."""
     return 6 * rings
 
 

@@ -1,8 +1,7 @@
-"""Glass from mesh files: a closed body with its normals, and the two optical faces of a lens element.
+"""Glass from mesh files: closed bodies with their normals, and the two optical faces of a lens element.
 
-A face is traced as the exact surface that it lies on, where that is recognised. Else the first-order optics of an
-element is measured on its mesh: an even polynomial in the radius, fitted to the vertices of each face, gives the
-vertex, its curvature and an asphere for the rim.
+A face is traced as the exact surface that it lies on, if that is recognised. Otherwise an even polynomial in the
+radius, fitted to its vertices, gives its vertex, curvature and asphere for the first-order optics.
 """
 
 from dataclasses import dataclass
@@ -28,28 +27,28 @@ from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.inputs import file_stamp
 
 RIM_MARGIN = 0.02
-"""Relative distance of the clear aperture's edge inside the mesh's rim, where no aperture is given."""
+"""Relative distance of the clear aperture's edge inside the mesh's rim, if no aperture is given."""
 
 FLAT_SHADED = 1e-3
-"""Angle in rad from its facet's normal within which a corner normal says no more than the facet does."""
+"""Angle in rad within which a corner normal counts as the facet's own."""
 
 STEEPEST_DEG = 30.0
-"""Angle between a corner normal and its facet beyond which the facet cannot stand for a smooth surface."""
+"""Largest angle between a corner normal and its facet on a smooth surface."""
 
 TURN_FACTOR, SLACK_DEG = 1.5, 5.0
-"""A corner normal may be off its facet by so many times the angle between that facet and its neighbours, plus this."""
+"""Limit of a corner normal's angle to its facet: a multiple of the facet's angle to its neighbours, plus a slack."""
 
 SLIVER = 1e-3
 """Height over length below which the normal of a facet is mostly rounding."""
 
 MOST_ROUND_A_VERTEX = 64
-"""Facets round a vertex that are held against each other; more are the fan of a flat or conical face."""
+"""Facets compared round a vertex; more form the fan of a flat or conical face."""
 
 NO_POWER = 1e-9
 """Curvature times the rim's radius, a slope, below which a face is flat: less than the fit's rounding."""
 
 SAME_NORMAL = 1e-6
-"""Difference of unit normals that float32 leaves, and some more."""
+"""Difference of unit normals above the rounding of float32."""
 
 FIT_TERMS = 4
 """Even powers of the radius in the fit of a face: r², r⁴, r⁶, r⁸."""
@@ -57,7 +56,7 @@ FIT_TERMS = 4
 
 @dataclass(frozen=True)
 class Face:
-    """One optical face of a lens element, in the mesh's own frame.
+    """Optical face of a lens element, in the mesh's own frame.
 
     Attributes
     ----------
@@ -66,9 +65,9 @@ class Face:
     rim_mm : float
         Largest radius that the face covers all round.
     form : Form
-        The exact surface, or what is measured in its place.
+        Exact surface, or its measured substitute.
     is_exact : bool
-        The form stands for the whole face.
+        The form replaces the whole mesh.
     """
 
     mesh: Mesh
@@ -78,7 +77,7 @@ class Face:
 
     @property
     def vertex_z(self) -> float:
-        """Point where the z axis meets it, mm."""
+        """Intersection with the z axis, mm."""
         return self.form.vertex_z
 
     @property
@@ -96,26 +95,24 @@ def solid_mesh(
 ) -> Mesh:
     """Load a closed body of glass: outward-oriented, with corner normals.
 
-    The normals are the file's where it has them. Where it has none, or only its facets' own, or where `crease_deg`
-    says what is a crease, they are estimated to second order.
+    They are estimated to second order if the file has none or only facet normals, or if `crease_deg` is given.
 
     Parameters
     ----------
     path : Path
     units : str, optional
-        Needed where the format carries none.
+        Required if the format carries none.
     crease_deg : float, optional
         Angle between facets above which their edge is a crease.
     node : str or int, optional
-        The body of the file that is meant, where it has several.
+        Body to take from a file with several.
     tolerance_mm : float, optional
-        Of a STEP file: how far a facet may lie off its surface.
+        Largest distance of a facet from its surface, for a STEP file.
 
     Raises
     ------
     MeshError
-        The file cannot be used, its body is not closed, or its normals are not those of its facets; a refractor is
-        not repaired in silence.
+        The file cannot be used, its body is not closed, or its normals do not fit its facets.
     """
     pieces = [piece.mesh for piece in load_mesh(path, units, node=node, tolerance_mm=tolerance_mm)]
     brings_normals = all(piece.corner_normals is not None for piece in pieces)
@@ -131,17 +128,17 @@ def solid_mesh(
 def bounding_mesh(
     path: Path, units: str | None, node: str | int | None = None, tolerance_mm: float | None = None
 ) -> Mesh:  # fmt: skip
-    """Load a closed mesh that bounds something: outward-oriented, of flat facets.
+    """Load a closed boundary mesh: outward-oriented, with flat facets.
 
     Parameters
     ----------
     path : Path
     units : str, optional
-        Needed where the format carries none.
+        Required if the format carries none.
     node : str or int, optional
-        The body of the file that is meant, where it has several.
+        Body to take from a file with several.
     tolerance_mm : float, optional
-        Of a STEP file: how far a facet may lie off its surface.
+        Largest distance of a facet from its surface, for a STEP file.
 
     Raises
     ------
@@ -161,7 +158,7 @@ def _bounding_mesh(
 
 
 def _closed(path: Path, mesh: Mesh, keeps_normals: bool, what_it_is: str) -> Mesh:
-    """Return a mesh welded, without facets that have no area and with its outside outside.
+    """Return a mesh welded, outward-oriented, and without facets of zero area.
 
     Raises
     ------
@@ -189,7 +186,7 @@ def _closed(path: Path, mesh: Mesh, keeps_normals: bool, what_it_is: str) -> Mes
 
 
 def _fault_of(mesh: Mesh) -> str:
-    """Return why a mesh is no closed body whose facets all face one way."""
+    """Return the reason why a mesh is not closed or not consistently oriented."""
     doubled = len(mesh.faces) - len(np.unique(np.sort(mesh.faces, axis=1), axis=0))
     if doubled:
         return f"{doubled} of its {len(mesh.faces)} facets are doubled: another one has the same corners"
@@ -203,7 +200,7 @@ def _fault_of(mesh: Mesh) -> str:
 
 
 def _normals_of_file(path: Path, mesh: Mesh) -> Array | None:
-    """Return the unit corner normals that a mesh has from its file; None if they say no more than its facets."""
+    """Return the file's unit corner normals; None if they equal the facets'."""
     if mesh.corner_normals is None:
         return None
     length = np.linalg.norm(mesh.corner_normals, axis=2, keepdims=True)
@@ -231,9 +228,9 @@ def _normals_of_file(path: Path, mesh: Mesh) -> Array | None:
 
 
 def _without_seams(faces: NDArray[np.int64], normals: Array) -> Array:
-    """Return corner normals (m, 3, 3) that are equal across an edge where they differ by rounding alone.
+    """Return corner normals (m, 3, 3) made equal across edges if they differ only by rounding.
 
-    A CAD program closes a sphere at a seam, and calculates the normals at its two sides by themselves.
+    A CAD program closes a sphere at a seam and computes the normals of its two sides independently.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -253,10 +250,10 @@ def _without_seams(faces: NDArray[np.int64], normals: Array) -> Array:
 
 
 def _too_far_off(mesh: Mesh, normals: Array, own: Array) -> NDArray[np.bool_]:
-    """Return (m, 3) which corner normals no smooth surface through the mesh's vertices can have.
+    """Return an (m, 3) mask of corner normals that no smooth surface through the mesh's vertices can have.
 
-    A surface turns no further between a corner and the facet that stands for it than the mesh does between that facet
-    and those round the corner, but for what uneven facets leave. Slivers, whose own normal says little, are left out.
+    Between a corner and its facet, a surface turns no more than the mesh does between that facet and the others round
+    the corner, plus a slack for uneven facets. Slivers, with their unreliable normals, are left out.
     """
     angle = _angle(normals, own)
     height2 = 2.0 * facet_normals(mesh)[1]
@@ -268,7 +265,7 @@ def _too_far_off(mesh: Mesh, normals: Array, own: Array) -> NDArray[np.bool_]:
     corner = mesh.faces.ravel()
     order = np.argsort(corner, kind="stable")
     facet = order // 3
-    # Round every vertex each facet is held against each other one: against the k-th after it, for all k.
+    # Round every vertex, compare each facet with the k-th after it, for all k.
     starts = np.searchsorted(corner[order], np.arange(len(mesh.vertices) + 1))
     count = np.diff(starts)[corner[order]]
     first = starts[:-1][corner[order]]
@@ -281,7 +278,7 @@ def _too_far_off(mesh: Mesh, normals: Array, own: Array) -> NDArray[np.bool_]:
 
 
 def _angle(a: Array, b: Array) -> Array:
-    """Return the angle between unit vectors along the last axis; by its half, which keeps its digits when small."""
+    """Return the angle between unit vectors along the last axis, from its half, to keep the digits of small angles."""
     return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(a - b, axis=-1), 1.0)))
 
 
@@ -301,7 +298,7 @@ def _faces(path: Path, stamp: tuple[object, ...], shape: MeshShape) -> tuple[Fac
 
 
 def _face(path: Path, side: Mesh, shape: MeshShape, told: list[Told] | None) -> Face:
-    """Return a face with the exact surface that it lies on, or with what is measured on its facets."""
+    """Return a face with the exact surface that it lies on, or with a form fitted to its facets."""
     if shape.surface != "exact":
         return _fitted(path, side, f'surface = "{shape.surface}" asks for facets')
     points = side.vertices[np.unique(side.faces)]
@@ -310,7 +307,7 @@ def _face(path: Path, side: Mesh, shape: MeshShape, told: list[Told] | None) -> 
 
 
 def _round_rim(side: Mesh) -> float:
-    """Return the rim's radius by its vertices where it is a circle: those lie on it, its edges within."""
+    """Return the rim's radius, from its vertices if they lie on a circle, as its edges run inside it."""
     border = np.linalg.norm(side.vertices[_border(side).ravel(), :2], axis=1)
     is_circle = np.ptp(border) <= ON_SURFACE * border.max()
     return float(border.mean()) if is_circle else _rim(side)
@@ -319,7 +316,7 @@ def _round_rim(side: Mesh) -> float:
 def faces(shape: MeshShape, scene: Scene) -> tuple[Face, Face]:
     """Return the front and the back face of a lens element given as a mesh."""
     path = scene.resolve(str(shape.file)).resolve()
-    # What it is made of does not count, so that both faces and their element share what is kept.
+    # The material does not count, so that both faces and their element share a cache entry.
     only = MeshShape(**shape.model_dump(include=set(MeshShape.model_fields)))
     return _faces(path, file_stamp(path), only)
 
@@ -330,7 +327,7 @@ def face_of(shape: MeshFace, scene: Scene) -> Face:
 
 
 def _axis_crossings(mesh: Mesh) -> tuple[Array, list[int]]:
-    """Return where the z axis crosses the mesh, in order, and the facets it crosses."""
+    """Return the z of the z axis's crossings with the mesh, in order, and the facets crossed."""
     corner = mesh.vertices[mesh.faces]
     x, y = corner[:, :, 0], corner[:, :, 1]
     cross = x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y
@@ -346,7 +343,7 @@ def _axis_crossings(mesh: Mesh) -> tuple[Array, list[int]]:
 
 
 def _side(mesh: Mesh, groups: np.ndarray, facet: int, outward: float) -> Mesh:
-    """Return the smooth face round a facet, those of its facets that look its way along z."""
+    """Return the smooth face round a facet, limited to facets that look the same way along z."""
     normals, _ = facet_normals(mesh)
     chosen = np.flatnonzero((groups == groups[facet]) & (normals[:, 2] * outward > 0.05))
     part = welded(Mesh(mesh.vertices, mesh.faces[chosen], None))
@@ -356,13 +353,13 @@ def _side(mesh: Mesh, groups: np.ndarray, facet: int, outward: float) -> Mesh:
 
 
 def _fitted(path: Path, side: Mesh, why: str) -> Face:
-    """Return a face that stays facets, for a reason, with its vertex, curvature and asphere fitted to its vertices."""
+    """Return a face that remains facets, with fitted vertex, curvature and asphere, and the reason."""
     used = np.unique(side.faces)
     r2 = np.square(side.vertices[used, :2]).sum(axis=1)
     rim = _rim(side)
     flat = plane_through(side.vertices[used])
     if flat is not None:
-        # Its vertices may all stand on its rim.
+        # All its vertices may lie on the rim.
         return Face(side, rim, Form(flat, {"radius_mm": np.inf}, words=why))
     near = r2 <= rim * rim * (1 + 1e-9)
     if near.sum() < FIT_TERMS + 2:
@@ -374,7 +371,7 @@ def _fitted(path: Path, side: Mesh, why: str) -> Face:
     a = coefficients[1:] / scale ** np.arange(1, FIT_TERMS + 1)
     curvature = 2.0 * float(a[0])
     radius = 1.0 / curvature if abs(curvature) * rim > NO_POWER else float("inf")
-    # The asphere is what the fit has beyond the sphere's own r⁴, r⁶, r⁸.
+    # The asphere is the fit minus the sphere's own r⁴, r⁶, r⁸.
     c = 0.0 if np.isinf(radius) else curvature
     sphere = np.array([c**3 / 8.0, c**5 / 16.0, 5.0 * c**7 / 128.0])
     terms = tuple(float(t) for t in a[1:] - sphere)
@@ -382,7 +379,7 @@ def _fitted(path: Path, side: Mesh, why: str) -> Face:
 
 
 def _border(mesh: Mesh) -> Array:
-    """Return the (e, 2) vertices of the edges that bound a face."""
+    """Return the vertices (e, 2) of the edges that bound a face."""
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     key = edges[:, 0] * (len(mesh.vertices) + 1) + edges[:, 1]
     back = edges[:, 1] * (len(mesh.vertices) + 1) + edges[:, 0]
@@ -444,15 +441,9 @@ def measured(scene: Scene) -> Scene:
 
 
 def _turned(lens: Lens, turns: dict[int, float]) -> tuple[Element, ...]:
-    """Return the elements of a lens some of whose surfaces are turned about their own axis.
+    """Return the elements of a lens, with surfaces turned about their own axes by `turns`, degrees by surface number.
 
-    An element with such a surface becomes one for each of its surfaces.
-
-    Parameters
-    ----------
-    lens : Lens
-    turns : dict of int to float
-        Angle in degrees by the number of the surface.
+    An element with a turned surface is split into one element for each of its surfaces.
     """
     kept = [element for element in lens.elements if not any(number in turns for number in element.surfaces)]
     split = {n for element in lens.elements if element not in kept for n in element.surfaces} | set(turns)
@@ -460,7 +451,7 @@ def _turned(lens: Lens, turns: dict[int, float]) -> tuple[Element, ...]:
 
 
 def _alone(lens: Lens, number: int, turn_deg: float) -> Element:
-    """Return a surface as an element by itself that stands where its element puts it, turned about its own axis."""
+    """Return a surface as an element of its own, in place, turned about its own axis."""
     stands = pose_of(lens, number)
     turned = stands[:, :3] @ frame.rotation((0.0, 0.0, turn_deg))
     vertex = np.array([0.0, 0.0, lens.vertices_mm[number]])
@@ -470,13 +461,7 @@ def _alone(lens: Lens, number: int, turn_deg: float) -> Element:
 
 
 def face_lines(scene: Scene) -> list[str]:
-    """Return in words what each face of the lens's elements from files is traced as, and why.
-
-    Parameters
-    ----------
-    scene : Scene
-        As its file says it, with nothing measured.
-    """
+    """Describe the form traced for each face of the lens's mesh elements, and the reason, for an unmeasured scene."""
     lens = with_lens_file(scene.camera.lens, scene.folder)
     lines, number = [], 0
     for surface in lens.surfaces:

@@ -1,4 +1,4 @@
-"""Round targets and bodies of glass: spheres, cylinders and disks that rays meet as they are, not by a mesh."""
+"""Spheres, cylinders and disks, as targets or glass, that rays meet exactly instead of by a mesh."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,13 +17,13 @@ ROUND_SHAPES = (Sphere, Cylinder, Disk)
 
 @dataclass(frozen=True, eq=False)
 class RoundBody:
-    """A sphere, cylinder or disk in its place.
+    """Sphere, cylinder or disk in its place.
 
     Attributes
     ----------
     shape : Sphere, Cylinder or Disk
     place : (3, 4) float64
-        Of its own frame in the world, mm.
+        Frame of the body in the world, mm.
     picture : (2, 2) float64
         Lower left corner of its picture in its texture, and the picture's extent there.
     """
@@ -33,15 +33,15 @@ class RoundBody:
     picture: Array
 
     def meshed(self) -> Primitive:
-        """Return a mesh whose vertices lie on it, and where its texture lies on the facets; the latest are kept."""
+        """Return a mesh with its vertices on the surface, and its texture coordinates; the latest meshes are cached."""
         return _meshed(self)
 
     def hull(self, rings: int = COARSE) -> Mesh:
-        """Return a mesh that encloses it; the more rings, the more closely."""
+        """Return a mesh that encloses the body, more tightly with more rings."""
         return hull(self.shape, rings).moved(self.place)
 
     def faces(self) -> NDArray[np.void]:
-        """Return its faces, (n,) ROUND, in the world frame."""
+        """Return the faces (n,) ROUND in the world frame."""
         radius, half = self._size_mm
         if isinstance(self.shape, Sphere):
             faces = [(SPHERE, frame.IDENTITY, 4.0 * np.pi * radius**2)]
@@ -60,25 +60,25 @@ class RoundBody:
         return table
 
     def box_mm(self) -> Array:
-        """Return the lowest and the highest corner of the box round it, (2, 3), world frame."""
+        """Return the lowest and the highest corner of the bounding box, (2, 3), world frame."""
         low, high = boxes_of(self.faces())
         return np.array([low.min(axis=0), high.max(axis=0)])
 
     def farthest_mm(self, point: Array) -> float:
-        """Return the distance of its farthest point from a point (3,) of the world frame."""
+        """Return the largest distance of the body from a point (3,) of the world frame."""
         (r, z), (radius, half) = self._seen_from_axis(point), self._size_mm
         return float(np.hypot(r, z) + radius if isinstance(self.shape, Sphere) else np.hypot(r + radius, abs(z) + half))
 
     def distance_mm(self, points: Array) -> Array:
-        """Return the distances (...) of its surface from points (..., 3) of the world frame."""
+        """Return the distances (...) of world-frame points (..., 3) from the surface."""
         return np.abs(self.height_mm(points))
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
-        """Tell which points (..., 3) of the world frame lie inside it, where it is closed."""
+        """Tell which world-frame points (..., 3) lie inside the body, if it is closed."""
         return self.height_mm(points) < 0.0
 
     def height_mm(self, points: Array) -> Array:
-        """Return the distances (...) of its surface from points (..., 3) of the world frame, negative inside it."""
+        """Return the signed distances (...) of world-frame points (..., 3) from the surface, negative inside."""
         (r, z), (radius, half) = self._seen_from_axis(points), self._size_mm
         if isinstance(self.shape, Sphere):
             return np.asarray(np.hypot(r, z) - radius)
@@ -88,7 +88,7 @@ class RoundBody:
 
     @property
     def half_mm(self) -> float:
-        """Half the height along the axis; 0 of a sphere or a disk."""
+        """Half the height along the axis; 0 for a sphere or disk."""
         return 0.5 * self.shape.height_mm if isinstance(self.shape, Cylinder) else 0.0
 
     @property
@@ -97,7 +97,7 @@ class RoundBody:
         return self.shape.radius_mm, self.half_mm
 
     def _seen_from_axis(self, points: Array) -> tuple[Array, Array]:
-        """Return the distances of points from the axis, and their heights along that."""
+        """Return the distances of points from the axis, and their heights along it."""
         x, y, z = np.moveaxis(frame.points(frame.inverse(self.place), points), -1, 0)
         return np.hypot(x, y), z
 

@@ -1,8 +1,7 @@
-"""Round faces of targets and glass as rays meet them, in float64: spheres, walls of cylinders and disks in a tree.
+"""Round faces of targets and glass that rays meet exactly, in float64: spheres, cylinder walls and disks in a tree.
 
-Each face has parameters (s, t) in the unit square that map to it with equal areas, by which its points are drawn as
-light sources: of a sphere Archimedes' longitude and height, of a disk azimuth and squared radius. Its picture lies on
-it as `primitives` says.
+Parameters (s, t) in the unit square map to each face with equal areas, for sampling light sources: longitude and height
+of a sphere (Archimedes) or wall, azimuth and squared radius of a disk. See `primitives` for the picture on a face.
 """
 
 from collections.abc import Sequence
@@ -20,13 +19,13 @@ from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 
 LARGEST_LEAF = 2
-"""Most faces of a leaf."""
+"""Largest number of faces in a leaf."""
 
 MARGIN = 1e-9
-"""By how much boxes are larger than their faces, over the size of the largest leaf: more than rays are rounded by."""
+"""Enlargement of boxes beyond their faces, relative to the largest leaf: more than the rounding of rays."""
 
 SPHERE, WALL, FLAT = range(3)
-"""Kinds of faces: a sphere, the wall of a cylinder about the third axis, and a disk that faces along it."""
+"""Kinds of faces: a sphere, the wall of a cylinder about the third axis, and a disk facing along it."""
 
 ROUND = np.dtype(
     [
@@ -37,7 +36,7 @@ ROUND = np.dtype(
         ("radius", "f8"),  # mm
         ("half", "f8"),  # mm, half the height of a wall
         ("area", "f8"),  # mm²
-        ("corner", "f8", (2,)),  # place of the lower left corner of its picture in the target's texture
+        ("corner", "f8", (2,)),  # lower left corner of its picture in the target's texture
         ("extent", "f8", (2,)),  # of the picture in the texture
     ]
 )
@@ -45,10 +44,10 @@ ROUND = np.dtype(
 
 @by_address
 class RoundFaces(NamedTuple):
-    """Round faces in a tree of boxes, see `box_tree`."""
+    """Round faces in a tree of boxes (see `box_tree`)."""
 
     faces: NDArray[np.void]  # (n,) ROUND
-    first: int  # number of the first of them among the facets of object space
+    first: int  # number of the first face among the facets of object space
     low: Array  # (2 · leaves, 3) mm
     high: Array
     order: NDArray[np.int64]  # (leaves · size,) faces, leaf by leaf
@@ -57,13 +56,14 @@ class RoundFaces(NamedTuple):
 
 
 def round_faces(bodies: Sequence[NDArray[np.void]], through: Frame, first: int) -> RoundFaces | None:
-    """Return the faces of some bodies, seen through a frame, in a tree; None if there are none.
+    """Return the faces of some bodies in another frame, in a tree; None if there are none.
 
     Parameters
     ----------
     bodies : sequence of (k,) ROUND
-        Faces of each target; their numbers become the faces' `body`.
+        Faces of each target; its number becomes their `body`.
     through : (3, 4) float64
+        Transform to the new frame.
     first : int
         See `RoundFaces`.
     """
@@ -79,12 +79,7 @@ def round_faces(bodies: Sequence[NDArray[np.void]], through: Frame, first: int) 
 
 
 def boxes_of(faces: NDArray[np.void]) -> tuple[Array, Array]:
-    """Return the lowest and the highest corners of the boxes round some faces, (n, 3) mm.
-
-    Parameters
-    ----------
-    faces : (n,) ROUND
-    """
+    """Return the lowest and the highest corners of the boxes round faces (n,) ROUND, each (n, 3) mm."""
     kind, radius, half = (faces[name][:, None] for name in ("kind", "radius", "half"))
     axis = faces["axes"][:, 2]
     across = radius * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
@@ -93,12 +88,13 @@ def boxes_of(faces: NDArray[np.void]) -> tuple[Array, Array]:
 
 
 def places_in_picture(face: np.void, s: Array, t: Array) -> Array:
-    """Return the places in its target's texture of points of a face by their parameters, (n, 2).
+    """Return the positions (n, 2) in its target's texture of a face's points.
 
     Parameters
     ----------
     face : ROUND
     s, t : (n,) float64
+        Parameters of the points.
     """
     if face["kind"] == SPHERE:
         place = np.column_stack([s, 0.5 + np.arcsin(2.0 * t - 1.0) / np.pi])
@@ -111,13 +107,13 @@ def places_in_picture(face: np.void, s: Array, t: Array) -> Array:
 
 
 def round_finder(is_met: Any) -> Any:
-    """Make the kernel that finds the first of the round faces that a ray meets.
+    """Make the kernel that finds the first round face that a ray meets.
 
     Parameters
     ----------
     is_met : kernel
-        Called as ``is_met(state, number, t, along)`` for a face that the ray crosses at a distance t, with outward
-        normal · direction; tells whether the ray meets it there, or goes on as if there were none.
+        Called as ``is_met(state, number, t, along)`` for a face crossed at distance t, where along is outward
+        normal · direction. Returns False if the ray passes as though there were no face.
 
     Returns
     -------
@@ -132,12 +128,12 @@ def round_finder(is_met: Any) -> Any:
         ----------
         rounds : RoundFaces
         state : Any
-            As `is_met` takes it.
+            Passed on to `is_met`.
         ray : Ray
         left : int
-            Number of the face that it starts on; negative, or too large: none of them.
+            Number of the face that the ray starts on; out of range if none.
         until : float, mm
-            Distance before which a face is looked for.
+            Distance within which to search.
         """
         found, nearest, steepness = -1, until, 0.0
         slopes, node = slopes_of(ray), 1
@@ -162,20 +158,19 @@ def round_finder(is_met: Any) -> Any:
 
 @inlined
 def _any_way(state: Any, number: int, t: float, along: float) -> bool:
-    """Tell that a ray meets every face."""
+    """Accept every face."""
     return True
 
 
 first_round = round_finder(_any_way)
-"""Finder of the first face, whatever light does there; its state is not used."""
+"""Finder of the first face, regardless of the light's behaviour there; `state` is unused."""
 
 
 @inlined
 def _crossings(face: Any, ray: Ray, starts_on_it: bool) -> tuple[float, float, float]:
-    """Return the distances at which a line crosses a face inwards and outwards, and |normal · direction| there.
+    """Return the distances to the inward and outward crossing of a face by a line, and |normal · direction| there.
 
-    Where it does not cross the face they are inf. A ray that starts on a face crosses it again at the other root only:
-    the one at its start is rounding.
+    They are inf if the line misses the face. A ray that starts on a face crosses it only at the other root.
     """
     if face.kind == SPHERE:
         return _crossings_of_sphere(face, ray, starts_on_it)
@@ -210,9 +205,9 @@ def _crossings(face: Any, ray: Ray, starts_on_it: bool) -> tuple[float, float, f
 def _crossings_of_sphere(face: Any, ray: Ray, starts_on_it: bool) -> tuple[float, float, float]:
     """Return the result of `_crossings` for a sphere.
 
-    The distance of the line from the centre is computed first, as a difference of squares loses digits of far starts
-    (E. Haines, J. Günther and T. Akenine-Möller, "Precision improvements for ray/sphere intersection", in Ray Tracing
-    Gems, 2019).
+    The distance from the line to the centre is computed first, since a difference of squares loses digits for distant
+    starts (E. Haines, J. Günther and T. Akenine-Möller, "Precision improvements for ray/sphere intersection", in Ray
+    Tracing Gems, 2019).
     """
     centre = face.centre
     x, y, z = ray.x - centre[0], ray.y - centre[1], ray.z - centre[2]
@@ -244,7 +239,7 @@ def _own(face: Any, ray: Ray) -> Ray:
 
 @kernel
 def lies_in(face: Any, x: float, y: float, z: float) -> bool:
-    """Tell whether a point lies in the closed body of a face: of a cylinder its wall tells, no flat end does.
+    """Tell whether a point lies in the closed body of a face; a cylinder is tested by its wall, never by its flat ends.
 
     Parameters
     ----------
@@ -262,7 +257,7 @@ def lies_in(face: Any, x: float, y: float, z: float) -> bool:
 
 @kernel
 def round_normal(face: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the outward unit normal of a face at a point of it.
+    """Return the outward unit normal at a point of a face.
 
     Parameters
     ----------
@@ -282,7 +277,7 @@ def round_normal(face: Any, x: float, y: float, z: float) -> tuple[float, float,
 
 @kernel
 def parameters_at(face: Any, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return the parameters of a point of a face.
+    """Return the parameters (s, t) of a point of a face.
 
     Parameters
     ----------
@@ -300,7 +295,7 @@ def parameters_at(face: Any, x: float, y: float, z: float) -> tuple[float, float
 
 @kernel
 def point_at(face: Any, s: float, t: float) -> tuple[float, float, float]:
-    """Return the point of a face with some parameters, mm.
+    """Return the point of a face, mm, at some parameters.
 
     Parameters
     ----------
@@ -328,7 +323,7 @@ def point_at(face: Any, s: float, t: float) -> tuple[float, float, float]:
 
 @kernel
 def place_in_picture(face: Any, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return the place in its target's texture of a point of a face.
+    """Return the position of a face's point in its target's texture.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Spheres and cylinders beside each other: apart, one inside the other, cut, or with a surface in common.
+"""Relative position of spheres and cylinders: apart, one inside the other, cut, or with a surface in common.
 
-Two convex bodies are apart if a plane lies between them. The plane is sought by alternating projections, from the
-nearest point of one body to that of the other and back (W. Cheney and A. A. Goldstein, "Proximity maps for convex
-sets", Proceedings of the American Mathematical Society 10, 1959); where they meet, both points become the same.
+Two convex bodies are apart if a plane separates them. It is found by alternating projections, from the nearest point of
+one body to that of the other and back (W. Cheney and A. A. Goldstein, "Proximity maps for convex sets", Proceedings of
+the American Mathematical Society 10, 1959). If the bodies meet, both points converge to one.
 """
 
 from enum import Enum
@@ -15,14 +15,14 @@ from lfmesh.geometry.objects.round_body import RoundBody
 from lfmesh.scene.objects.shapes import Cylinder, Sphere
 
 ON_RIM = 4096
-"""Points of a circle that stand for it: the arcs between rise 3e-7 of the radius above their chords."""
+"""Points that represent a circle: the arcs between them rise 3e-7 of the radius above their chords."""
 
 MOST_STEPS = 1000
-"""Projections after which bodies that no plane was found between count as cut."""
+"""Projections after which bodies without a separating plane count as cut."""
 
 
 class Pair(Enum):
-    """Place of one closed round body beside another."""
+    """Position of one closed round body relative to another."""
 
     APART = 0
     FIRST_INSIDE = 1
@@ -31,13 +31,13 @@ class Pair(Enum):
 
 
 def pair_of(one: RoundBody, other: RoundBody, near_mm: float) -> Pair:
-    """Return how two spheres or cylinders stand to each other.
+    """Return the relative position of two spheres or cylinders.
 
     Parameters
     ----------
     one, other : RoundBody
     near_mm : float
-        Depth by which one may reach into the other, or out of it, where they touch.
+        Overlap, or protrusion, that still counts as touching.
     """
     if _is_inside(one, other, near_mm):
         return Pair.FIRST_INSIDE
@@ -47,7 +47,7 @@ def pair_of(one: RoundBody, other: RoundBody, near_mm: float) -> Pair:
 
 
 def _is_inside(one: RoundBody, other: RoundBody, near_mm: float) -> bool:
-    """Tell whether a body lies in a convex one: whether its outermost points do."""
+    """Tell whether a body lies in a convex one, by its outermost points."""
     if isinstance(one.shape, Sphere):
         return bool(other.height_mm(one.place[:, 3]) <= near_mm - one.shape.radius_mm)
     assert isinstance(one.shape, Cylinder)
@@ -58,7 +58,7 @@ def _is_inside(one: RoundBody, other: RoundBody, near_mm: float) -> bool:
 
 
 def _are_apart(one: RoundBody, other: RoundBody, off_mm: float) -> bool:
-    """Tell whether a plane lies between two bodies whose surfaces are set back by a length."""
+    """Tell whether a plane separates two bodies with their surfaces set back by `off_mm`."""
     p = other.place[:, 3]
     for _ in range(MOST_STEPS):
         q = _nearest(one, p, off_mm)
@@ -74,7 +74,7 @@ def _are_apart(one: RoundBody, other: RoundBody, off_mm: float) -> bool:
 
 
 def _nearest(body: RoundBody, point: Array, off_mm: float) -> Array:
-    """Return the point of a body, its surface set back, that is nearest to a point (3,)."""
+    """Return the nearest point to a point (3,) of a body with its surface set back."""
     x, y, z = frame.points(frame.inverse(body.place), point)
     radius = max(body.shape.radius_mm - off_mm, 0.0)
     if isinstance(body.shape, Sphere):
@@ -88,7 +88,7 @@ def _nearest(body: RoundBody, point: Array, off_mm: float) -> Array:
 
 
 def _farthest(body: RoundBody, way: Array, off_mm: float) -> float:
-    """Return how far a body, its surface set back, reaches along a unit vector, from the origin."""
+    """Return the largest coordinate along a unit vector of a body with its surface set back."""
     radius, half = max(body.shape.radius_mm - off_mm, 0.0), max(body.half_mm - off_mm, 0.0)
     reach = float(way @ body.place[:, 3])
     if isinstance(body.shape, Sphere):
@@ -98,15 +98,15 @@ def _farthest(body: RoundBody, way: Array, off_mm: float) -> float:
 
 
 def common_place(one: RoundBody, other: RoundBody, near_mm: float) -> Array | None:
-    """Return a point (3,) where bent surfaces of two bodies lie on each other over an area; None where none do.
+    """Return a point (3,) where curved surfaces of two bodies coincide over an area; None if they do not.
 
-    Flat ends are left to their facets, which lie in their planes.
+    Flat ends are excluded; their facets lie in their planes and are compared instead.
 
     Parameters
     ----------
     one, other : RoundBody
     near_mm : float
-        How far apart surfaces may be that lie on each other.
+        Largest distance between surfaces that coincide.
     """
     between = other.place[:, 3] - one.place[:, 3]
     thicker = abs(one.shape.radius_mm - other.shape.radius_mm)

@@ -1,4 +1,4 @@
-"""Tanks as bodies of glass: a box of liquid inside a box of glass, whose media nest."""
+"""Tanks as nested bodies of glass: a box of liquid inside a box of glass."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from lfmesh.scene.objects.tank import OPEN_AXIS
 
 
 def with_tanks(scene: Scene) -> Scene:
-    """Return the scene with two bodies of glass, after its targets, in place of each of its tanks."""
+    """Return the scene with each tank replaced by two bodies of glass, after its targets."""
     if not scene.tanks:
         return scene
     bodies = [body for i, tank in enumerate(scene.tanks) for body in tank_bodies(tank, tank.called(i))]
@@ -18,7 +18,7 @@ def with_tanks(scene: Scene) -> Scene:
 
 
 def tank_bodies(tank: Tank, name: str) -> tuple[Target, Target]:
-    """Return the walls, a box without a hollow, and the liquid, a box inside it, which takes its place there."""
+    """Return the walls, a solid box, and the liquid, a box inside it that displaces the glass."""
     size, wall = np.array(tank.size_mm), tank.wall_mm
     inner, centre = size - 2.0 * wall, np.zeros(3)
     axis = OPEN_AXIS.get(tank.open)
@@ -45,15 +45,10 @@ def tank_bodies(tank: Tank, name: str) -> tuple[Target, Target]:
 
 
 def tank_lines(scene: Scene, object_index: float) -> list[str]:
-    """Describe every tank of a scene, a line each: its size, media, and how much nearer its middle is seen.
+    """Describe each tank in a line: size, media, and the apparent depth of its middle.
 
-    The middle is that between its windows along its own z axis, seen along that axis, by first-order optics.
-
-    Parameters
-    ----------
-    scene : Scene
-    object_index : float
-        Refractive index of the medium that the tanks stand in, at the primary wavelength.
+    The middle is halfway between the windows on the tank's own z axis; its apparent depth is first-order.
+    `object_index` is the refractive index of the medium round the tanks at the primary wavelength.
     """
     lines = []
     for i, tank in enumerate(in_its_air(scene).tanks):

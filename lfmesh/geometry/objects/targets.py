@@ -1,4 +1,4 @@
-"""A target of the scene as one mesh in the world frame, with the picture on it."""
+"""Targets of a scene, each as a mesh or round surface in the world frame with its picture."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,7 +35,7 @@ from lfmesh.scene import Scene, Target
 from lfmesh.scene.objects.shapes import Disk, Plane, Shape
 
 STEEPEST_DEG = 45.0
-"""By which a vertex normal of a mesh file may stand off its facet's: more is a sharp edge, averaged by a program."""
+"""Largest angle between a vertex normal of a mesh file and its facet's; beyond it, a program averaged a sharp edge."""
 
 NO_FACETS = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 
@@ -50,22 +50,22 @@ class TargetMesh:
     Attributes
     ----------
     surface : Primitive or RoundBody
-        Mesh in the world frame, mm, of which no facet is without area; or a round surface that rays meet itself.
+        Mesh in the world frame, mm, without facets of zero area; or a round surface that rays meet exactly.
     texture : (h, w, 3) float32 or None
         Linear light, 0 to 1, that multiplies reflectance and radiance.
     alpha : (h, w) float32 or None
-        Opacity on the same picture, where the material asks for it.
+        Opacity on the same picture, if the material asks for it.
     materials : tuple of GltfMaterial
-        Of the mesh file, where they are taken over in place of the scene's.
+        Materials of the mesh file, if they replace the scene's.
     material_of : (m,) int64 or None
-        Which of them each facet has; -1: that of the scene. Of a gloss that varies, the first that it spans.
+        Index in `materials` of each facet; -1: the scene's material. With varying gloss, the first material spanned.
     gloss : GlossOnFacets or None
-        Metallic and roughness by a picture, where the file's materials have one.
+        Metallic and roughness by a picture, if the file's materials have one.
     smooth : bool
         Shaded with the mesh's corner normals.
     closed : bool
-        Watertight, outward-oriented: the target scatters and emits from its outside only; an open sheet does
-        from both sides.
+        Watertight, outward-oriented: the target scatters and emits from its outside only. An open sheet does so on
+        both sides.
     """
 
     surface: Primitive | RoundBody
@@ -79,61 +79,60 @@ class TargetMesh:
 
     @property
     def round(self) -> RoundBody | None:
-        """Round surface that rays meet itself; None where they meet the mesh."""
+        """Round surface that rays meet exactly; None if they meet the mesh."""
         return self.surface if isinstance(self.surface, RoundBody) else None
 
     @property
     def mesh(self) -> Mesh:
-        """Mesh in the world frame, mm; that of a round surface has its vertices on it."""
+        """Mesh in the world frame, mm; the vertices of a round surface's mesh lie on it."""
         return self.surface.meshed().mesh if isinstance(self.surface, RoundBody) else self.surface.mesh
 
     @property
     def uv(self) -> Array | None:
-        """Place (m, 3, 2) of each facet's corners in the texture, 0..1; None: there is none.
+        """Texture coordinates (m, 3, 2) of each facet's corners, 0..1, repeats unrolled; None if there are none.
 
-        (0, 0) is the bottom left of the picture, (0, 1) the top left, where row 0 is. Repeats are unrolled, so a
-        look-up need not wrap.
+        (0, 0) is the bottom left of the picture, (0, 1) the top left, at row 0.
         """
         return self.surface.meshed().uv if isinstance(self.surface, RoundBody) else self.surface.uv
 
     @property
     def met_mesh(self) -> Mesh:
-        """Mesh that rays meet; one without facets where they meet a round surface."""
+        """Mesh that rays meet; empty if they meet a round surface."""
         return NO_FACETS if isinstance(self.surface, RoundBody) else self.surface.mesh
 
     @property
     def hull(self) -> Mesh:
-        """Mesh that encloses a round surface, of some hundred facets; else the mesh itself."""
+        """Mesh of some hundred facets that encloses a round surface; otherwise the mesh itself."""
         return self.surface.hull() if isinstance(self.surface, RoundBody) else self.surface.mesh
 
     @property
     def box_mm(self) -> Array:
-        """Lowest and highest corner of the box round it, (2, 3), world frame."""
+        """Lowest and highest corner of the bounding box, (2, 3), world frame."""
         if isinstance(self.surface, RoundBody):
             return self.surface.box_mm()
         vertices = self.surface.mesh.vertices
         return np.array([vertices.min(axis=0), vertices.max(axis=0)])
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
-        """Tell which points (n, 3) of the world frame a closed body holds."""
+        """Tell which world-frame points (n, 3) lie inside a closed body."""
         if isinstance(self.surface, RoundBody):
             return self.surface.holds(points)
         return winding(self.mesh.vertices[self.mesh.faces], points) != 0
 
     def distance_mm(self, point: Array) -> float:
-        """Return the distance of its surface from a point (3,) of the world frame, mm."""
+        """Return the distance of a world-frame point (3,) from the surface, mm."""
         if isinstance(self.surface, RoundBody):
             return float(self.surface.distance_mm(point))
         return distance_mm(self.mesh.vertices[self.mesh.faces], point)
 
 
 def target_body(target: Target, scene: Scene) -> TargetMesh:
-    """Build a target as rays meet it: a round one as it is, every other by its mesh.
+    """Build a target as rays meet it: round shapes exactly, all others by a mesh.
 
     Raises
     ------
     MeshError, FileError
-        As of `target_mesh`.
+        As for `target_mesh`.
     """
     shape = _shape_of(target)
     if not isinstance(shape, ROUND_SHAPES) or not is_met_exactly(target, scene):
@@ -143,7 +142,7 @@ def target_body(target: Target, scene: Scene) -> TargetMesh:
     if target.material.texture is not None:
         name = str(shape.kind)
         picture = _picture(target, scene, asks_alpha)
-        # Its corners lie in the texture where those of a rectangle do.
+        # The picture's corners lie in the texture as on a rectangle.
         placed, texture = atlas(name, [_covered(Piece(*primitive(Plane(width_mm=1.0, height_mm=1.0))), picture, name)])
         if placed is not None:
             place = np.array([placed[0, 0], placed[0, 2] - placed[0, 0]])
@@ -156,18 +155,18 @@ def target_body(target: Target, scene: Scene) -> TargetMesh:
 
 
 def is_met_exactly(target: Target, scene: Scene) -> bool:
-    """Tell whether rays meet the round surface of a target itself, not a mesh of it."""
+    """Tell whether rays meet a target's exact round surface instead of a mesh."""
     of_target = "exact" if target.refractor is None else target.refractor.surface
     return scene.transport.surface == of_target == "exact" and isinstance(_shape_of(target), ROUND_SHAPES)
 
 
 def _shape_of(target: Target) -> Shape | None:
-    """Return the primitive shape of a target, of glass or not; None where a mesh file has it."""
+    """Return the primitive shape of a target, of glass or not; None if it comes from a mesh file."""
     return target.shape if target.refractor is None else target.refractor.solid
 
 
 def _parted(texture: Texture | None) -> tuple[Texture | None, Texture | None]:
-    """Return the colours of a picture and its alpha; None for an alpha that is missing, or 1 all over."""
+    """Return the colours of a picture and its alpha; None for an alpha that is missing or 1 all over."""
     if texture is None or texture.shape[2] < 4:
         return texture, None
     alpha = np.ascontiguousarray(texture[..., 3])
@@ -175,7 +174,7 @@ def _parted(texture: Texture | None) -> tuple[Texture | None, Texture | None]:
 
 
 def _refuse_opaque(target: Target, name: str) -> NoReturn:
-    """Refuse a target whose opacity is that of a picture without alpha."""
+    """Refuse a target that takes its opacity from a picture without alpha."""
     which = target.material.texture or name
     raise MeshError(f'{which}: is opaque all over, and opacity = "texture_alpha" asks for its alpha; omit it')
 
@@ -183,13 +182,13 @@ def _refuse_opaque(target: Target, name: str) -> NoReturn:
 def target_mesh(target: Target, scene: Scene) -> TargetMesh:
     """Build a target's mesh and load its picture.
 
-    The texture of the target's material replaces whatever colours its mesh file brings. A glTF file's materials are
-    taken over whole where the scene gives the target no material.
+    The texture of the target's material replaces any colours from its mesh file. If the scene gives the target no
+    material, all materials of a glTF file are taken over.
 
     Raises
     ------
     MeshError
-        The mesh file is not usable, or a texture is given for a mesh without texture coordinates.
+        The mesh file cannot be used, or a texture is given for a mesh without texture coordinates.
     FileError
         The texture is no picture.
     """
@@ -251,7 +250,7 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
 
 
 def _take_materials(made: TargetMesh, name: str, pieces: list[Piece], solid: NDArray[np.bool_]) -> None:
-    """Give a target the materials of its pieces, of whose facets it has the solid ones."""
+    """Give a target, made of the `solid` facets of some pieces, the materials of the pieces."""
     gloss = gloss_on_facets(name, pieces)
     materials = [None if piece.gloss is not None else piece.material for piece in pieces]
     spanned = [each.materials for each in gloss.ranges] if gloss is not None else []
@@ -268,12 +267,12 @@ def _take_materials(made: TargetMesh, name: str, pieces: list[Piece], solid: NDA
 
 
 def _stood(mesh: Mesh, target: Target) -> Mesh:
-    """Return a target's mesh where it stands in the world: scaled, turned, and placed by its anchor.
+    """Return a target's mesh in the world: scaled, turned, and placed by its anchor.
 
     Raises
     ------
     MeshError
-        Its scale makes it larger than a scene may be.
+        The scaled target exceeds the largest scene.
     """
     scale = 1.0 if target.scale is None else target.scale
     turn = frame(target.rotation_deg, (0.0, 0.0, 0.0))
@@ -297,7 +296,7 @@ def _stood(mesh: Mesh, target: Target) -> Mesh:
 
 
 def _refuse_too_far(target: Target, corners: Array) -> None:
-    """Refuse a target whose corners, mm, lie farther away than a scene may reach."""
+    """Refuse a target with corners, mm, beyond the limit of a scene."""
     if np.abs(corners).max() > FARTHEST_MM:
         scale = 1.0 if target.scale is None else target.scale
         raise MeshError(
@@ -313,7 +312,7 @@ def _opaque(piece: Piece) -> Piece:
 
 
 def _with_alpha_by_mode(pieces: list[Piece]) -> list[Piece]:
-    """Return pieces whose colour is in their material alone, and whose alpha is the opacity that the material means."""
+    """Return pieces coloured by their material alone, with its opacity (by glTF alpha mode) as alpha."""
     made = []
     pictures: dict[tuple[int, str, float, float], Texture] = {}
     for piece in pieces:
@@ -335,9 +334,9 @@ def _with_alpha_by_mode(pieces: list[Piece]) -> list[Piece]:
 
 
 def _shading_normals(mesh: Mesh) -> Array | None:
-    """Return the unit normals at the facets' corners, on their own side; None where they are the facets' own.
+    """Return the unit normals at the facets' corners, on their own side; None if they are the facets' own.
 
-    A normal that is none, or stands off its facet by more than `STEEPEST_DEG`, is replaced by the facet's.
+    The facet's normal replaces an invalid one, or one more than `STEEPEST_DEG` off the facet.
     """
     if mesh.corner_normals is None:
         return None
@@ -361,14 +360,14 @@ def _picture(target: Target, scene: Scene, alpha: bool) -> Texture:
 
 
 def named_target(scene: Scene, number: int) -> str:
-    """Return the name of a target in messages: its path in the scene file, and its own name or file."""
+    """Return the name of a target for messages: its path in the scene file, and its own name or file."""
     target = scene.targets[number]
     own = target.name or (target.refractor.file if target.refractor is not None else target.file)
     return f"targets[{number}]" + (f" ({own})" if own else "")
 
 
 def _covered(piece: Piece, picture: Texture, name: str) -> Piece:
-    """Return the piece with the material's picture in place of its own colours."""
+    """Return the piece with its colours replaced by the material's picture."""
     if piece.uv is None:
         raise MeshError(
             f"{name}: the mesh has no texture coordinates, so its material's texture has no place on it; "
@@ -378,9 +377,9 @@ def _covered(piece: Piece, picture: Texture, name: str) -> Piece:
 
 
 def _oriented(pieces: list[Piece]) -> tuple[list[Piece], bool]:
-    """Turn closed pieces so that they face outwards; tell whether the whole is closed.
+    """Turn closed pieces to face outwards; tell whether the whole body is closed.
 
-    A body may be closed piece by piece, or only as a whole where its materials meet along open rims.
+    A body may be closed piece by piece, or only as a whole if its materials meet along open rims.
     """
     volumes = [_enclosed(piece.mesh) for piece in pieces]
     if all(volumes):
@@ -393,11 +392,11 @@ def _enclosed(mesh: Mesh) -> float:
     """Return the volume of a closed mesh in mm³, negative where it faces inwards; 0 for an open one."""
     if not is_closed(mesh.faces):
         return 0.0
-    # From the middle, so that a body far from its origin keeps its digits.
+    # Relative to the mean vertex, so that a body far from its origin keeps its digits.
     a, b, c = np.moveaxis((mesh.vertices - mesh.vertices.mean(axis=0))[mesh.faces], 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
 def _turned(piece: Piece) -> Piece:
-    """Return the piece with every facet looking the other way."""
+    """Return the piece with every facet flipped."""
     return piece.with_mesh_turned(piece.mesh.flipped())

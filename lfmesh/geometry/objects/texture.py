@@ -1,4 +1,4 @@
-"""Pictures on targets: files to linear light."""
+"""Picture files of targets, read as linear light."""
 
 import warnings
 from collections.abc import Callable, Iterator
@@ -16,20 +16,20 @@ from lfmesh.errors import FileError
 from lfmesh.regular_file import why_no_file
 
 Texture = NDArray[np.float32]
-"""(h, w, 3) linear light, 0 to 1; row 0 is the top of the picture. Not to be written to: see `is_grey`."""
+"""(h, w, 3) linear light, 0 to 1, row 0 at the top. Do not write to it: see `is_grey`."""
 
 Transfer = Callable[[NDArray[np.float64]], Texture]
-"""Values of a texture by a picture's codes, 0..1."""
+"""Function from a picture's codes, 0..1, to texture values."""
 
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "GIF")
-"""Formats that are opened, named as by Pillow, whatever a file's name ends in. Pillow knows more: PostScript, for which
-it starts another program, and formats whose readers break on damaged files."""
+"""Formats that are opened, by Pillow's names, whatever the file's ending. Excluded are PostScript, for which Pillow
+starts another program, and formats with readers that break on damaged files."""
 
 MOST_PIXELS = 2**26
-"""Of one picture: as linear light they take 0.8 GB."""
+"""Largest number of pixels of a picture: 0.8 GB as linear light."""
 
 _BAND_PIXELS = 2**20
-"""Pixels that are converted at a time, so that only the result takes memory."""
+"""Pixels converted at a time, so that only the result takes memory."""
 
 
 def load_texture(path: Path, alpha: bool = False) -> Texture:
@@ -39,19 +39,19 @@ def load_texture(path: Path, alpha: bool = False) -> Texture:
     ----------
     path : Path
         PNG, JPEG, TIFF, BMP, WebP or GIF of up to 67 million pixels; grey or RGB, sRGB-coded. 16-bit grey keeps its
-        depth, 16-bit colour is read with 8. A photograph is turned upright by its own record.
+        depth; 16-bit colour is read with 8 bits. A photograph is turned upright by its EXIF orientation.
     alpha : bool
-        Read its transparency too, which is ignored otherwise.
+        Read the transparency too.
 
     Returns
     -------
     (h, w, 3) float32
-        Linear light, 0 to 1; with `alpha` (h, w, 4), the last being the alpha, as it is.
+        Linear light, 0 to 1; with `alpha` (h, w, 4), the last channel the alpha as coded.
 
     Raises
     ------
     FileError
-        The file is not there, is no picture, is broken, or has too many pixels.
+        The file is missing, broken, no picture, or has too many pixels.
     """
     path = Path(path)
     if not path.is_file():
@@ -72,7 +72,7 @@ def load_texture(path: Path, alpha: bool = False) -> Texture:
 
 @contextmanager
 def opened(path: Path | BytesIO) -> Iterator[PIL.Image.Image]:
-    """Open a picture of one of `FORMATS`, a file or its content; its pixels are not read yet.
+    """Open a picture of one of `FORMATS`, from a file or its content, without reading its pixels.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def opened(path: Path | BytesIO) -> Iterator[PIL.Image.Image]:
     with warnings.catch_warnings():
         # Pillow's own limit is higher, and its warning would stand before the refusal.
         warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
-        # What it makes of a damaged file is read or refused; its guesses at the metadata concern nobody.
+        # A damaged file is read or refused all the same; warnings about its metadata help nobody.
         warnings.filterwarnings("ignore", module=r"PIL\.")
         try:
             picture = PIL.Image.open(path, formats=FORMATS)
@@ -96,10 +96,10 @@ def opened(path: Path | BytesIO) -> Iterator[PIL.Image.Image]:
 
 
 def linear_light(picture: PIL.Image.Image, transfer: Transfer | None = None) -> Texture:
-    """Return a Pillow image as (h, w, 3) linear light, or as another function of its codes than that of sRGB.
+    """Return a Pillow image as (h, w, 3) linear light, or by another transfer function than sRGB's.
 
-    Grey of 16 bits is taken as it is; every other mode with 8 bits, without its transparency. Of grey light the three
-    channels are one array in memory, which cannot be written to.
+    16-bit grey keeps its depth; every other mode is read with 8 bits, without transparency. The three channels of grey
+    light are one array in memory, which is read-only.
     """
     deep = picture.mode.startswith("I;16")
     linear_of_code = (transfer or srgb_to_linear)(np.arange(65536) / 65535.0 if deep else np.arange(256) / 255.0)
@@ -115,12 +115,12 @@ def linear_light(picture: PIL.Image.Image, transfer: Transfer | None = None) -> 
 
 
 def is_grey(light: Texture) -> bool:
-    """Tell whether all channels of a texture are one array in memory, as those of a grey picture are."""
+    """Tell whether all channels of a texture share one array in memory, as in a grey picture."""
     return light.strides[2] == 0
 
 
 def with_alpha(light: Texture, picture: PIL.Image.Image) -> Texture:
-    """Return a picture's linear light with its alpha as a fourth channel; 1 where it has none."""
+    """Return a picture's linear light with its alpha, 1 if it has none, as a fourth channel."""
     coded = np.asarray(picture.convert("RGBA"))[:, :, 3:]
     opacity = coded if picture.has_transparency_data else np.full_like(coded, 255)
     return np.concatenate([light, opacity.astype(np.float32) / np.float32(255.0)], axis=2)
@@ -133,5 +133,5 @@ def srgb_to_linear(coded: NDArray[np.float64]) -> Texture:
 
 
 def as_coded(coded: NDArray[np.float64]) -> Texture:
-    """Return values from 0 to 1 as they are: of pictures that are no light."""
+    """Return values from 0 to 1 unchanged, for pictures of other quantities than light."""
     return np.asarray(coded, dtype=np.float32)

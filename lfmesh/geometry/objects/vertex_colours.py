@@ -1,7 +1,7 @@
-"""Vertex colours as a picture: interpolated over each facet as linearly as a texture of its own shows them.
+"""Vertex colours as a picture that shows them interpolated linearly over each facet.
 
-A texture is interpolated between the middles of its texels. Four texels, in a square, whose fourth has the value that
-makes them a plane, so show on the triangle of the other three what lies linearly between three colours.
+Textures are interpolated between texel centres. Four texels in a square, the fourth chosen so that all lie on a plane,
+therefore interpolate three colours linearly on the triangle of the first three.
 """
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ from lfmesh.geometry.objects.texture import Texture
 
 
 def with_colours_as_picture(piece: Piece) -> Piece:
-    """Return a piece whose vertex colours, if it has any, are its factor or a picture with its places in it."""
+    """Return a piece with its vertex colours, if any, moved into its factor or into a picture."""
     if piece.colours is None:
         return piece
     first = piece.colours[0, 0]
@@ -25,21 +25,16 @@ def with_colours_as_picture(piece: Piece) -> Piece:
 
 
 def picture_of(colours: Array) -> tuple[Texture, Array]:
-    """Return a picture of the colours of facets, and the place of each facet's corners in it.
-
-    Parameters
-    ----------
-    colours : (m, 3, c) float64
-        At the corners of facets, linear.
+    """Return a picture of the linear colours (m, 3, c) at the corners of facets, and the corners' texture coordinates.
 
     Returns
     -------
     picture : (h, w, c) float32
-        Beyond the facets' triangles its values may lie outside 0..1; no facet shows them.
+        Values may lie outside 0..1 beyond the facets' triangles, where no facet shows them.
     uv : (m, 3, 2) float64
     """
     channels = colours.shape[2]
-    # Facets of one colour are many, and each needs a place but once.
+    # Many facets have equal colours; each set of colours needs only one place.
     kinds, which = np.unique(colours.reshape(len(colours), -1), axis=0, return_inverse=True)
     first, across, down = np.moveaxis(kinds.reshape(-1, 3, channels), 1, 0)
     columns = int(np.ceil(np.sqrt(len(kinds))))

@@ -1,4 +1,4 @@
-"""Warnings about a picture that its scene and the built world give before anything is traced."""
+"""Warnings about a picture from its scene and built world, before any ray is traced."""
 
 from collections.abc import Iterator
 
@@ -16,12 +16,7 @@ from lfmesh.transport.world import World
 
 
 def foreseen(world: World) -> list[PictureWarning]:
-    """Return the warnings of a world, most of them by its scene; a new cause is one more line here.
-
-    Parameters
-    ----------
-    world : World
-    """
+    """Return the warnings of a world, most of them from its scene; list a new cause here."""
     return [
         *world.warnings,
         *_hidden(world),
@@ -36,7 +31,7 @@ def foreseen(world: World) -> list[PictureWarning]:
 
 
 def _hidden(world: World) -> Iterator[PictureWarning]:
-    """Name a closed body that stands round the camera; glass there is refused."""
+    """Warn of a closed body round the camera; glass there is refused elsewhere."""
     (eye,) = frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], np.zeros((1, 3)))
     for number, body in enumerate(world.targets):
         if world.scene.targets[number].refractor is None and is_round(body, eye):
@@ -44,7 +39,7 @@ def _hidden(world: World) -> Iterator[PictureWarning]:
 
 
 def _folded(world: World) -> Iterator[PictureWarning]:
-    """Say that curved patches fold over their facets, so that only rays that cross the facets are sure to meet them."""
+    """Warn of curved patches that fold over their facets, so that rays crossing no facet may miss them."""
     lens, mla, glass = world.tables.lens, world.tables.mla, world.tables.objects.glass
     trees = [lens.tree, mla.tree, *([] if glass is None else [glass.tree])]
     folded = sum(tree.folded for tree in trees)
@@ -58,7 +53,7 @@ def _folded(world: World) -> Iterator[PictureWarning]:
 
 
 def _without_reflections(world: World) -> Iterator[PictureWarning]:
-    """Say that the sequential engine leaves out reflections that the scene asks for."""
+    """Warn that the sequential engine omits reflections that the scene asks for."""
     transport = world.scene.transport
     if transport.engine == "sequential" and transport.split != "transmit":
         yield MissedLightWarning(

@@ -1,7 +1,6 @@
 """Warnings about a picture from the numbers of its own run.
 
-Everything that a run knows of itself comes to one list here. It is warned of in Python, printed by the command line and
-written into `report.json`, see `lfmesh.errors.PictureWarning`.
+They are raised in Python, printed by the command line and written to `report.json`; see `lfmesh.errors.PictureWarning`.
 """
 
 import warnings
@@ -43,20 +42,20 @@ LIT_SHARE_OF_BRIGHT = 0.05
 """A pixel counts as lit above this share of the 99th percentile."""
 
 FEW_SHARE = 0.25
-"""Share of the lit pixels that may have so few samples with light before the run says so."""
+"""Share of lit pixels with fewer than `FEW_HITS` hits above which the run warns."""
 
 OPEN_SHARE = 1e-9
-"""Share of the emitted energy by which the ledger may be open, from rounding."""
+"""Imbalance of the ledger that rounding may cause, as a share of the emitted energy."""
 
 HEAVY_SHARE = 0.01
-"""Share of the blocks of pixels in which few paths may bring much of the light without a warning."""
+"""Share of pixel blocks dominated by few paths above which the run warns."""
 
 UNMET, UNMET_SHARE = 10.0, 0.05
-"""Light of a path that a pixel of `FEW_HITS` hits or more may have missed, over all the light that it has; and share of
-the pixels with light that may be such pixels without a warning."""
+"""Light of one path that a pixel of at least `FEW_HITS` hits may have missed, relative to all its light; and share of
+such pixels among those with light above which the run warns."""
 
 CUT_SHARE = 1e-3
-"""Share of the light that `max_events` may cut without a warning: of the emitted energy, or of what reaches targets."""
+"""Share of the light that `max_events` may cut without a warning: of that reaching targets, if any, or emitted."""
 
 _AS_NOISE = (
     "by samples that go anywhere, as noise that the error may not show; take many more samples, and compare with "
@@ -65,12 +64,7 @@ _AS_NOISE = (
 
 
 def found(image: "Image") -> list[PictureWarning]:
-    """Return the warnings of a finished image by its numbers; a new cause is one more line here.
-
-    Parameters
-    ----------
-    image : Image
-    """
+    """Return the warnings from the numbers of a finished image; list a new cause here."""
     return [
         *_black(image),
         *proofs(image.scene, image.aim, image.order),
@@ -94,10 +88,10 @@ def _black(image: "Image") -> Iterator[PictureWarning]:
 
 
 def _out_of_field(scene: Scene) -> list[str]:
-    """Return the names of the media and particles of a scene that are out of the field."""
+    """Return the names of a scene's media and particles that are out of the field."""
     if not (scene.media or scene.particles):
         return []
-    # Only a black picture asks for it, and a world is built from what is asked here.
+    # Imported here because only a black picture needs to build a world.
     from lfmesh.transport.checks.media_places import unseen
     from lfmesh.transport.world import build
 
@@ -107,7 +101,7 @@ def _out_of_field(scene: Scene) -> list[str]:
 
 
 def proofs(scene: Scene, aim: AimProof | None, order: OrderCheck | None) -> list[PictureWarning]:
-    """Return the warnings of the proofs that are made before a render starts.
+    """Return the warnings of the checks made before a render.
 
     Parameters
     ----------
@@ -119,7 +113,7 @@ def proofs(scene: Scene, aim: AimProof | None, order: OrderCheck | None) -> list
 
 
 def books(scene: Scene, ledger: Ledger) -> list[PictureWarning]:
-    """Return the warnings of a ledger, and of that of lamps' own packets beside it."""
+    """Return the warnings of a ledger and of the separate ledger of lamps' own packets."""
     ledgers = [each for each in (ledger, ledger.lamps) if each is not None]
     found: list[PictureWarning] = []
     for each in ledgers:
@@ -129,13 +123,13 @@ def books(scene: Scene, ledger: Ledger) -> list[PictureWarning]:
 
 
 def given_up(scene: Scene, ledger: Ledger, cut: float = CUT_SHARE) -> list[PictureWarning]:
-    """Return the warnings of paths that were lost or cut, of any tracing that keeps a book.
+    """Return the warnings of lost or cut paths, for any tracing that keeps a ledger.
 
     Parameters
     ----------
     scene : Scene
     ledger : Ledger
-        Need not close: rays may be followed without being booked where they end.
+        Need not balance: rays may end without being booked.
     cut : float
         See `CUT_SHARE`.
     """
@@ -207,7 +201,7 @@ def _lost(scene: Scene, ledger: Ledger) -> Iterator[PictureWarning]:
 
 
 def _remedy(scene: Scene, ledger: Ledger) -> str:
-    """Return what helps the bodies in which energy was lost: of a box nothing but its size can be changed."""
+    """Return advice for the bodies that lost energy; a box can only change in size."""
     names = {target.name or f"targets[{i}]": target.refractor for i, target in enumerate(scene.targets)}
     glass = [body for name in ledger.lost_in if (body := names.get(name)) is not None]
     of_lens = scene.camera.lens.has_meshes and bool(ledger.lost_in.keys() - names.keys())
@@ -242,7 +236,7 @@ def _no_numbers(image: "Image") -> Iterator[PictureWarning]:
 
 
 def _cut(scene: Scene, ledger: Ledger, most: float) -> Iterator[PictureWarning]:
-    # Of the importance that pixels send out, little reaches what they see: the cut part is compared with that.
+    # Little of the importance sent out by pixels reaches their targets: the cut part is compared with that.
     whole = ledger.reached_target + ledger.depth if ledger.reached_target > 0.0 else ledger.emitted
     if not ledger.depth > most * whole:
         return
@@ -282,18 +276,18 @@ def _unmet_paths(image: "Image") -> Iterator[PictureWarning]:
 
 
 def lit_pixels(mean: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which pixels are lit: above 5 % of the bright ones, the 99th percentile of those with light."""
+    """Return a mask of lit pixels: above 5 % of the 99th percentile of the pixels with light."""
     received = mean > 0.0
     if not received.any():
         return received
-    # In place wherever it can be: a large sensor leaves no room for copies.
+    # In place where possible: a large sensor leaves no room for copies.
     bright = float(np.percentile(mean[received], 99.0, overwrite_input=True))
     lit: NDArray[np.bool_] = mean > LIT_SHARE_OF_BRIGHT * bright
     return lit
 
 
 def few_hits_share(image: "Image", lit: NDArray[np.bool_]) -> float | None:
-    """Return the share of the lit pixels with less than `FEW_HITS` hits; None where hits were not counted."""
+    """Return the share of the lit pixels with fewer than `FEW_HITS` hits; None if hits were not counted."""
     return None if image.hits is None or not lit.any() else float((image.hits[lit] < FEW_HITS).mean())
 
 

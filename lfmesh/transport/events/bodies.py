@@ -1,9 +1,9 @@
-"""The bodies of glass in object space that a packet is in, and the medium that follows from them.
+"""Stack of the glass bodies in object space that a packet is in, and the resulting medium.
 
-Bodies may nest, touch and overlap. Each has a rank, by its priority and, among equals, by nesting; where bodies
-overlap, the medium is that of the highest rank. A packet holds the ranks of all bodies that it is in, the highest
-first, as one number with 11 bits for each rank, in the fields `bodies` and `space`. See Schmidt & Budge, Simple nested
-dielectrics in ray traced images, Journal of Graphics Tools 7(2), 2002.
+Bodies may nest, touch and overlap. Each has a rank, by priority and, among equals, by nesting; the highest rank decides
+the medium of an overlap. A packet holds the ranks of all bodies around it, highest first, as one number with 11 bits
+per rank, in the fields `bodies` and `space`. See Schmidt & Budge, Simple nested dielectrics in ray traced images,
+Journal of Graphics Tools 7(2), 2002.
 """
 
 from typing import Any
@@ -22,7 +22,7 @@ RANK = (1 << BITS) - 1
 
 LOW_BITS = 30
 LOW = (1 << LOW_BITS) - 1
-"""The bits of the number that `bodies` holds; `space` holds the others."""
+"""Bits of the number held in `bodies`; `space` holds the others."""
 
 MOST_AT_ONCE = 4
 """Largest number of bodies that a packet can be in at once."""
@@ -35,7 +35,7 @@ TOO_MANY = -1
 
 @inlined
 def bodies_round(packet: Any) -> int:
-    """Return the ranks, as one number, of the bodies that a packet in object space is in; 0: none."""
+    """Return the ranks, as one number, of the bodies around a packet in object space; 0: none."""
     if packet.bodies < 0:
         return 0
     return int(np.int64(packet.bodies) | (np.int64(packet.space) << LOW_BITS))
@@ -43,14 +43,14 @@ def bodies_round(packet: Any) -> int:
 
 @inlined
 def set_bodies(packet: Any, inside: int) -> None:
-    """Set the bodies that a packet is in."""
+    """Set the bodies around a packet."""
     packet.bodies = inside & LOW if inside != 0 else NO_SURFACE
     packet.space = inside >> LOW_BITS
 
 
 @inlined
 def is_in(inside: int, rank: int) -> bool:
-    """Tell whether the body of a rank is among those that a packet is in."""
+    """Tell whether a packet is in the body of a rank."""
     while inside > 0:
         if inside & RANK == rank:
             return True
@@ -60,7 +60,7 @@ def is_in(inside: int, rank: int) -> bool:
 
 @inlined
 def with_body(inside: int, rank: int) -> int:
-    """Return the bodies with one added, in the order of ranks; `TOO_MANY` if there is no room."""
+    """Return the bodies with one added in order of rank; `TOO_MANY` if there is no room."""
     if inside >> ((MOST_AT_ONCE - 1) * BITS) != 0:
         return TOO_MANY
     above, shift = 0, 0
@@ -73,7 +73,7 @@ def with_body(inside: int, rank: int) -> int:
 
 @inlined
 def without_body(inside: int, rank: int) -> int:
-    """Return the bodies with one removed, which must be among them."""
+    """Return the bodies without one of them."""
     above, shift = 0, 0
     while inside > 0 and inside & RANK != rank:
         above |= (inside & RANK) << shift
@@ -90,16 +90,16 @@ def medium_of(objects: ObjectTables, inside: int) -> int:
 
 @kernel
 def bodies_at(objects: ObjectTables, x: float, y: float, z: float) -> int:
-    """Return the bodies that a point of the object frame is in, as packets hold them; `TOO_MANY` if there is no room.
+    """Return the bodies around a point of the object frame, as packets hold them; `TOO_MANY` if there is no room.
 
-    A line from the point along z crosses the shell of each an odd number of times. Whether it passes one side of an
-    edge or the other is computed alike for both facets of the edge. Round bodies tell by themselves.
+    A line along z from a point inside crosses a body's shell an odd number of times. Both facets of an edge decide
+    alike on which side the line passes. Round bodies are tested directly.
 
     Parameters
     ----------
     objects : ObjectTables
     x, y, z : float, mm
-        Not on a shell itself.
+        Point, not on a shell.
     """
     inside = 0
     for rank in range(1, len(objects.by_rank)):
@@ -145,27 +145,27 @@ def _is_above(facet: Any, x: float, y: float) -> bool:
 
 @kernel
 def beyond_facet(objects: ObjectTables, glass: GlassTables, inside: int, prim: int, enters: bool, ray: Ray) -> int:
-    """Return the bodies that a ray is in after it crosses a facet; `TOO_MANY` if they cannot be represented.
+    """Return the bodies around a ray after it crosses a facet; `TOO_MANY` if they cannot be represented.
 
-    Where bodies touch, the ray crosses facets of both at once: it leaves one as it enters the other.
+    At touching bodies the ray crosses facets of both at once: it leaves one as it enters the other.
 
     Parameters
     ----------
     inside : int
-        The bodies before the facet.
+        Bodies before the facet.
     prim : int
         Facet.
     enters : bool
-        The ray enters the facet's body; else it leaves.
+        Whether the ray enters the facet's body or leaves it.
     ray : Ray
-        Point of the crossing.
+        Ray from the point of the crossing.
     """
     x, y, z, dx, dy, dz = ray
     rank = objects.rank[objects.facets[prim].body]
     after = with_body(inside, rank) if enters else without_body(inside, rank)
     if len(glass.contact_first) == 0 or after == TOO_MANY:
         return after
-    # Entries before exits, so that a corner that is entered and left at once has no effect.
+    # Entries before exits, so that entering and leaving a corner at once has no effect.
     for entering in (True, False):
         for number in range(glass.contact_first[prim], glass.contact_first[prim + 1]):
             facet = objects.facets[glass.contacts[number]]

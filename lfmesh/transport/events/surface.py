@@ -1,4 +1,4 @@
-"""Surfaces of targets at a point: shading normal, texture, opacity, and what they emit."""
+"""Surface of a target at a point: shading normal, texture, opacity and emission."""
 
 from typing import Any
 
@@ -16,30 +16,30 @@ from lfmesh.transport.tables.varied_gloss import drawn_model
 Array = NDArray[np.float64]
 
 VARIED = 1 << 40
-"""Number of the first facet's random numbers for its scattering model, among those that a packet's key has."""
+"""Offset, in a packet's key, of the first facet's random numbers for its scattering model."""
 
 EMITTED = 1 << 24
-"""Number of the random numbers of emission, among those that a packet's key has for its children."""
+"""Offset, in a packet's key, of the random numbers of emission."""
 
 
 @inlined
 def point_of(
     objects: ObjectTables, packet: Any, prim: int, place: tuple[float, float, float], side: float, to_light: bool
 ) -> Point:  # fmt: skip
-    """Return a point on one side of a facet, with its scattering model and the value of its texture.
+    """Return a point on one side of a facet, with its scattering model and texture value.
 
     Parameters
     ----------
     objects : ObjectTables
     packet : PACKET
-        Its wavelength and its medium are those at the point.
+        Its wavelength and medium apply at the point.
     prim : int
         Facet.
     place : (3,) float, mm
     side : float
         1: the side that the normal points to, −1: the other.
     to_light : bool
-        Whether packets leave it towards the light, as in the adjoint method.
+        Packets leave it towards the light, as in the adjoint method.
     """
     x, y, z = place
     texel = _texture_at(objects, prim, packet.colour, x, y, z)
@@ -60,7 +60,7 @@ def point_of(
 
 @inlined
 def outward(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the unit normal of a facet, or of a round face at a point of it.
+    """Return the unit normal of a facet, or of a round face at a point.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ def outward(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> t
 def _outward(
     rounds: Any, objects: ObjectTables, prim: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Return the result of `outward`; `rounds` : RoundFaces or None, of which numba then compiles nothing."""
-    # Two conditions: numba leaves the code out where the first alone is known not to hold.
+    """Return the result of `outward`; `rounds` : RoundFaces or None, for which numba omits the branch."""
+    # Two conditions: numba omits the code if the first alone is known to be false.
     if rounds is not None:  # noqa: SIM102
         if prim >= rounds.first:
             return round_normal(rounds.faces[prim - rounds.first], x, y, z)
@@ -86,7 +86,7 @@ def _outward(
 
 @inlined
 def spread(objects: ObjectTables, prim: int, u: float, v: float) -> tuple[float, float]:
-    """Return where two random numbers, uniform in [0, 1), lie on a facet, by which they are spread evenly over it.
+    """Map two random numbers, uniform in [0, 1), evenly to a facet.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def spread(objects: ObjectTables, prim: int, u: float, v: float) -> tuple[float,
     Returns
     -------
     b, c : float
-        Barycentric weights of the second and third corner; of a round face its parameters.
+        Barycentric weights of the second and third corner; for a round face, its parameters.
     """
     return _spread(objects.rounds, prim, u, v)
 
@@ -120,7 +120,7 @@ def place_on(objects: ObjectTables, prim: int, b: float, c: float) -> tuple[floa
     objects : ObjectTables
     prim : int
     b, c : float
-        As of `spread`.
+        As returned by `spread`.
     """
     return _place_on(objects.rounds, objects, prim, b, c)
 
@@ -144,16 +144,10 @@ def _place_on(
 
 @kernel
 def _drawn_model(objects: ObjectTables, packet: Any, prim: int, model: int, x: float, y: float, z: float) -> int:
-    """Return the row of a facet's scattering model: of one of those that a picture mixes at the point, if one does.
+    """Return the row of a facet's scattering model, drawn among the models that a picture mixes at the point, if any.
 
-    The random numbers belong to the packet, its event and the facet. Light that is asked for at the point and light
-    that is scattered there may follow different models: each is weighted by the densities of its own.
-
-    Parameters
-    ----------
-    packet : PACKET
-    model : int
-        Row of the model where no picture varies it.
+    Without a picture it is `model`. The random numbers belong to the packet, its event and the facet. Light sampled at
+    the point and light scattered there may use different models; each is weighted by the densities of its own.
     """
     varied = objects.varied
     if varied.range_of[prim] < 0:
@@ -170,15 +164,10 @@ def _drawn_model(objects: ObjectTables, packet: Any, prim: int, model: int, x: f
 
 @inlined
 def _model_in(glass: Any, model: int, medium: int) -> int:
-    """Return the row of a scattering model in the medium at the point: a gloss reflects by its index over that.
+    """Return the row of a scattering model for the medium at the point, since gloss depends on the relative index.
 
-    Parameters
-    ----------
-    glass : GlassTables or None
-        None: there is only one medium, and numba compiles nothing but the first line.
-    model : int
-        Row of the model in the first medium of its target.
-    medium : int
+    `model` is the row for the first medium of the target. `glass` is None if there is only one medium; numba then
+    compiles only the first line.
     """
     if glass is None:
         return model
@@ -187,14 +176,14 @@ def _model_in(glass: Any, model: int, medium: int) -> int:
 
 @inlined
 def emission_of(objects: ObjectTables, point: Point, key: np.uint64) -> Point:
-    """Return a point as it emits: with the model of its emission.
+    """Return a point with the scattering model of its emission.
 
     Parameters
     ----------
     objects : ObjectTables
     point : Point
     key : uint64
-        Of the packet.
+        Key of the packet.
     """
     row = objects.scattering.models[point.model].emission
     smooth = point.smooth and is_hot(objects.scattering, row)
@@ -209,15 +198,7 @@ def emission_of(objects: ObjectTables, point: Point, key: np.uint64) -> Point:
 
 @kernel
 def _interpolated_normal(facet: Any, side: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the unit normal between the facet's corners, on one side of it.
-
-    Parameters
-    ----------
-    facet : FACET
-    side : float
-        1: the side that its normal points to, −1: the other.
-    x, y, z : float, mm
-    """
+    """Return the unit normal interpolated between a facet's corners, on its front (`side` 1) or back (−1)."""
     b, c = barycentric(facet, x, y, z)
     at = facet.corner_normals
     a = 1.0 - b - c
@@ -230,16 +211,7 @@ def _interpolated_normal(facet: Any, side: float, x: float, y: float, z: float) 
 
 @inlined
 def _texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float, z: float) -> float:
-    """Return the value of the texture at a point of a facet (linear light, bilinear, clamped); 1 without a texture.
-
-    Parameters
-    ----------
-    prim : int
-        Facet.
-    colour : int
-        Number of the wavelength.
-    x, y, z : float, mm
-    """
+    """Return the texture's value at a point of a facet (linear light, bilinear, clamped); 1 without a texture."""
     body = objects.facets[prim].body
     height = objects.texture[body, 1]
     if height == 0:
@@ -248,7 +220,7 @@ def _texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: floa
     row, column = _texel_at(objects.rounds, objects, prim, height, width, x, y, z)
     left, low = int(np.floor(column)), int(np.floor(row))
     right_share, low_share = column - left, row - low
-    # No views of rows: a view counts its references, which costs more than what is read.
+    # No views of rows: counting a view's references costs more than the reads.
     in_bands = len(objects.texel_weights) > 0
     value = 0.0
     for j in range(2):
@@ -269,7 +241,7 @@ def _texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: floa
 def _texel_at(
     rounds: Any, objects: ObjectTables, prim: int, height: int, width: int, x: float, y: float, z: float
 ) -> tuple[float, float]:
-    """Return row and column of a target's texture at a point, as `_place_in`; `rounds` : RoundFaces or None."""
+    """Return row and column of a target's texture at a point, like `_place_in`; `rounds` : RoundFaces or None."""
     if rounds is not None:  # noqa: SIM102
         if prim >= rounds.first:
             u, v = place_in_picture(rounds.faces[prim - rounds.first], x, y, z)
@@ -281,7 +253,7 @@ def _texel_at(
 def _place_in(
     facet: Any, uv: Array, height: int, width: int, x: float, y: float, z: float
 ) -> tuple[float, float]:  # fmt: skip
-    """Return row and column of a facet's picture at a point, counted from the middle of the first texel."""
+    """Return row and column of a facet's picture at a point, counted from the centre of the first texel."""
     b, c = barycentric(facet, x, y, z)
     a = 1.0 - b - c
     u = a * uv[0, 0] + b * uv[1, 0] + c * uv[2, 0]
@@ -293,7 +265,7 @@ def _place_in(
 def _between_texels(
     values: NDArray[np.float32], first: int, height: int, width: int, row: float, column: float
 ) -> float:
-    """Return a value of a picture at a place, bilinear and clamped; the values from `first` on are its texels."""
+    """Return the bilinear, clamped value of a picture with its texels from `first` on."""
     low, left = min(max(row, 0.0), height - 1.0), min(max(column, 0.0), width - 1.0)
     j, k = min(int(low), max(height - 2, 0)), min(int(left), max(width - 2, 0))
     s, t = low - j, left - k
@@ -305,7 +277,7 @@ def _between_texels(
 
 @kernel
 def opacity_at(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> float:
-    """Return the opacity of a target at a point of a facet: its number, or its texture's alpha (bilinear, clamped).
+    """Return the opacity of a target at a point of a facet: a constant, or its texture's alpha (bilinear, clamped).
 
     Parameters
     ----------
@@ -325,7 +297,7 @@ def opacity_at(objects: ObjectTables, prim: int, x: float, y: float, z: float) -
 def emitted_radiance(
     objects: ObjectTables, packet: Any, point: Point, ox: float, oy: float, oz: float
 ) -> float:  # fmt: skip
-    """Return the radiance that a point emits into the packet's medium, as the packet's weight counts it, W/(m² sr).
+    """Return the radiance emitted by a point into the packet's medium, scaled for the packet's weight, W/(m² sr).
 
     Parameters
     ----------
@@ -340,7 +312,7 @@ def emitted_radiance(
         return 0.0
     source = emission_of(objects, point, derived(packet.key, packet.events))
     hot = is_hot(objects.scattering, source.model)
-    # Radiance over n² is conserved. That of a black body grows as n², and is known for what bodies stand in.
+    # Radiance over n² is conserved. A black body's grows as n² and is tabulated for the medium round the bodies.
     index = objects.media.indices[AIR if hot else packet.medium, packet.colour]
     radiance /= index * index
     if hot:

@@ -1,10 +1,9 @@
-"""Emitting facets: random points of them, and the density with which they are drawn.
+"""Emitting facets as lights: random points on them, and their density.
 
-Pieces of facets are drawn by their power, texture included (see `tables.emitting_facets`). Where these are many, a leaf
-of their tree is drawn before, by the light that it brings to the point (see `many_emitters`). Neither a small, bright
-facet, which scattered rays seldom meet, nor one that touches the point, where 1 / r² is unbounded, then makes the
-variance large. Only a straight line in one medium joins a point to a facet: what comes through glass or through the
-lens is found by scattered rays alone.
+Pieces of facets are drawn by their power, texture included (see `tables.emitting_facets`). If there are many, a leaf of
+their tree is drawn first, by its light at the point (see `many_emitters`). Scattered rays alone would have a large
+variance: they seldom meet small, bright facets, and 1/r² is unbounded at facets that touch the point. Only straight
+lines in one medium are sampled; scattered rays find light through glass or the lens.
 """
 
 from typing import Any
@@ -27,23 +26,23 @@ from lfmesh.transport.tables.tables import ObjectTables
 
 @inlined
 def are_asked(options: Options, objects: ObjectTables, events: int) -> bool:
-    """Tell whether a point, after so many events, asks emitting facets.
+    """Tell whether a point, after so many events, samples emitting facets.
 
-    It does not where no scattered packet could bring their light either: without other targets, or too deep.
+    It does not if scattered packets could not bring their light either: without other targets, or too deep.
 
     Parameters
     ----------
     options : Options
     objects : ObjectTables
     events : int
-        That the packet has had.
+        Number of the packet's events so far.
     """
     return options.bounce and len(objects.emitters.until) > 0 and events + 1 < options.max_events
 
 
 @inlined
 def sample(options: Options, objects: ObjectTables, packet: Any) -> Way:
-    """Draw a way from the point where a packet is to a point of the emitting facets.
+    """Draw a way from a packet's position to a point of the emitting facets.
 
     Parameters
     ----------
@@ -64,7 +63,7 @@ def sample(options: Options, objects: ObjectTables, packet: Any) -> Way:
     if (prim != packet.facet or _is_bent(objects.rounds, prim)) and distance2 > 0.0:
         ux, uy, uz = ux / distance, uy / distance, uz / distance
         away = nx * ux + ny * uy + nz * uz
-    # A facet in the point's own plane, to rounding, sends it no light.
+    # A facet in the point's own plane, to within rounding, sends it no light.
     if away < 0.0 or (away > 0.0 and not objects.one_sided[objects.facets[prim].body]):
         drawn = per_area * distance2 / abs(away)
     return Way(TO_FACET, prim, Ray(packet.x, packet.y, packet.z, ux, uy, uz), distance, 1.0, drawn)
@@ -72,7 +71,7 @@ def sample(options: Options, objects: ObjectTables, packet: Any) -> Way:
 
 @inlined
 def _is_bent(rounds: Any, prim: int) -> bool:
-    """Tell whether a point of a facet may see another point of it; `rounds` : RoundFaces or None."""
+    """Tell whether points of a facet may see each other; `rounds` : RoundFaces or None."""
     if rounds is not None:  # noqa: SIM102
         if prim >= rounds.first:
             return rounds.faces[prim - rounds.first].kind != FLAT
@@ -81,17 +80,17 @@ def _is_bent(rounds: Any, prim: int) -> bool:
 
 @inlined
 def density(objects: ObjectTables, packet: Any, prim: int, x: float, y: float, z: float) -> float:
-    """Return the density, 1/sr, with which `sample` draws the way of a packet from its start to a facet.
+    """Return the density, 1/sr, of `sample` for the way from a packet's start to a point of a facet.
 
     Parameters
     ----------
     objects : ObjectTables
     packet : PACKET
-        It starts where it was scattered.
+        At its last scattering.
     prim : int
-        The facet.
+        Facet.
     x, y, z : float, mm
-        The point of the facet, object frame.
+        Point of the facet, object frame.
     """
     if len(objects.emitters.until) == 0:
         return 0.0
@@ -107,13 +106,13 @@ def density(objects: ObjectTables, packet: Any, prim: int, x: float, y: float, z
 
 @inlined
 def radiance(objects: ObjectTables, packet: Any, way: Way) -> float:
-    """Return the radiance of the facet at the end of a way, as the packet's weight counts it, W/(m² sr).
+    """Return the radiance of the facet at the end of a way, scaled for the packet's weight, W/(m² sr).
 
     Parameters
     ----------
     objects : ObjectTables
     packet : PACKET
-        At the begin of the way.
+        At the start of the way.
     way : Way
         From `sample`.
     """
@@ -126,19 +125,19 @@ def radiance(objects: ObjectTables, packet: Any, way: Way) -> float:
 
 @inlined
 def is_reached(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
-    """Tell whether a shadow packet meets the point that it was sent to, when the query found the facet `prim`.
+    """Tell whether a shadow packet reaches its goal when the query has found the facet `prim`.
 
     Parameters
     ----------
     objects : ObjectTables
     packet : PACKET
     prim : int
-        −1: none.
+        Facet; −1: none.
     t : float, mm
-        Its distance.
+        Distance of the facet.
     """
     if prim < 0 or prim == packet.goal:
-        # A line through a round face meets it on two sides, of which the point lies on one.
+        # A line meets a round face on two sides; the point lies on one of them.
         return prim >= 0 and (
             not _is_bent(objects.rounds, prim)
             or (_along_at(objects, packet, prim, t) > 0.0) == (_along_at(objects, packet, prim, packet.limit) > 0.0)
@@ -152,7 +151,7 @@ def is_reached(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
 
 @inlined
 def _along_at(objects: ObjectTables, packet: Any, prim: int, t: float) -> float:
-    """Return outward normal · direction where a packet meets a facet at a distance."""
+    """Return outward normal · direction at a packet's intersection with a facet."""
     x, y, z = along(ray_of(packet), t)
     nx, ny, nz = outward(objects, prim, x, y, z)
     return nx * packet.dx + ny * packet.dy + nz * packet.dz
@@ -160,7 +159,7 @@ def _along_at(objects: ObjectTables, packet: Any, prim: int, t: float) -> float:
 
 @inlined
 def density_at(objects: ObjectTables, place: Place, normal: Place, prim: int, there: Place) -> float:
-    """Return the density, 1/mm², with which `emitting_point` draws a point of a facet.
+    """Return the density, 1/mm², of `emitting_point` at a point of a facet.
 
     Parameters
     ----------
@@ -170,7 +169,7 @@ def density_at(objects: ObjectTables, place: Place, normal: Place, prim: int, th
     prim : int
         Number of the facet.
     there : (3,) float, mm
-        The point of the facet, object frame.
+        Point of the facet, object frame.
     """
     emitters = objects.emitters
     first = emitters.first[prim]
@@ -184,7 +183,7 @@ def density_at(objects: ObjectTables, place: Place, normal: Place, prim: int, th
 
 @inlined
 def _piece_at(rounds: Any, objects: ObjectTables, prim: int, x: float, y: float, z: float) -> int:
-    """Return the number of the piece of an emitting facet at a point; `rounds` : RoundFaces or None."""
+    """Return the number of the piece at a point of an emitting facet; `rounds` : RoundFaces or None."""
     emitters = objects.emitters
     if rounds is not None:  # noqa: SIM102
         if prim >= rounds.first:
@@ -207,7 +206,7 @@ def _piece_at(rounds: Any, objects: ObjectTables, prim: int, x: float, y: float,
 
 @inlined
 def _square_at(face: Any, level: int, x: float, y: float, z: float) -> int:
-    """Return the number of the piece at a point among those of a round face, squares of its parameters."""
+    """Return the number of the piece at a point of a round face; pieces are squares of its parameters."""
     piece = 0
     if level > 0:
         s, t = parameters_at(face, x, y, z)
@@ -223,7 +222,7 @@ def _square_at(face: Any, level: int, x: float, y: float, z: float) -> int:
 def emitting_point(
     objects: ObjectTables, place: Place, normal: Place, u: float, v: float
 ) -> tuple[int, float, float, float, float]:  # fmt: skip
-    """Return a random point of the emitters, drawn for a point that it may light.
+    """Return a random point of the emitters, drawn for a point that they may light.
 
     Parameters
     ----------
@@ -231,7 +230,7 @@ def emitting_point(
     place, normal
         As for `many_emitters.drawn_leaf`.
     u, v : float
-        Random numbers, uniform in [0, 1). Near ones give near points.
+        Random numbers, uniform in [0, 1); close numbers give close points.
 
     Returns
     -------
@@ -249,7 +248,7 @@ def emitting_point(
         return NO_SURFACE, 0.0, 0.0, 0.0, 0.0
     piece = begin + drawn_by(emitters.until[begin:end], u)
     below = emitters.until[piece - 1] if piece > begin else 0.0
-    # What is left of the first number is a random number of its own.
+    # Rescaled, the first number is uniform again.
     u = min((u - below) / (emitters.until[piece] - below), 1.0)
     prim = emitters.facet[piece]
     u, v = spread(objects, prim, u, v)

@@ -1,16 +1,16 @@
-"""The lamps that a point asks: all of them where they are few, else some that are drawn from a tree of them.
+"""Choice of the lamps that a point samples: all if they are few, otherwise some drawn from a tree.
 
-A point begins with the root of the tree (`tables/lamp_tree.py`) and opens nodes one by one: always that whose estimate
-of the light, by its bounds, is in most doubt, until all doubts are small against the light (Conty Estevez & Kulla,
-Importance sampling of many lights with adaptive tree splitting, HPG 2018). Of the nodes it then has, it takes at most
-`OF_MANY`, each with a chance in proportion to its estimate, or surely. Within a node one lamp is drawn, by the
-estimates of its parts on the way down. Light counts by one over the chance of its lamp.
+From the root of the tree (`tables/lamp_tree.py`), a point repeatedly opens the node with the most uncertain estimate of
+its light, until all uncertainties are small against the light (Conty Estevez & Kulla, Importance sampling of many
+lights with adaptive tree splitting, HPG 2018). It keeps at most `OF_MANY` of the open nodes, each with certainty or
+with a probability proportional to its estimate. Within a node, one lamp is drawn on the way down by the estimates of
+the two parts. Its light is divided by its probability.
 
-The estimate of a node is zero only where its bounds show that none of its lamps shines there: below the horizon of the
-point, or beyond the light of all lamps. That of a single point lamp, and of parallel light, is its irradiance.
+The estimate of a node is zero only if its bounds show that none of its lamps shines there: below the horizon of the
+point, or beyond the light of all lamps. For a single point lamp or parallel light, the estimate is the irradiance.
 
-Packets are sent past lamps into the light that is scattered near them by another law: the power over the distance.
-There a node counts as one lamp if it is far enough away for all of its lamps to be about as far, and else is opened.
+Packets sent past lamps, into the light scattered near them, follow another law: power over distance. A node counts as
+one lamp if its lamps are about equally far; otherwise it is opened.
 """
 
 from typing import Any
@@ -25,25 +25,25 @@ from lfmesh.transport.packets.packet import Options
 from lfmesh.transport.tables.lights import MM2, Lamps
 
 OF_MANY = 3
-"""Largest number of lamps that a point asks where there are more than `MOST_ASKED`: more cost more time than they save,
-as samples of a pixel differ for other reasons too."""
+"""Largest number of lamps that a point samples if there are more than `MOST_ASKED`. More would cost more time than they
+save, as other causes make the samples of a pixel differ too."""
 
 MOST_NODES = 96
 """Largest number of nodes that a point opens.
 
-Few points need that many: those among lamps, where nodes hold near and far ones, and bounds tell little of the nearest.
-Over lamps from 1 mm to 100 m the light of a point has a standard deviation of 30 times its mean with 12, and 0.6 with
-96; most other points open some ten.
+Only points among lamps need that many: there, nodes hold near and far lamps, and bounds say little about the nearest.
+With lamps from 1 mm to 100 m away, the light of a point has a standard deviation of 30 times its mean with 12 nodes,
+and 0.6 with 96. Most other points open some ten.
 """
 
 SETTLED = 0.5
-"""Doubt of a node's light, over that of all nodes, up to which it is not opened."""
+"""Uncertainty of a node's light, over the light of all nodes, up to which it is not opened."""
 
 CLOSEST = 0.125
-"""Distance of a node's nearest lamp, over its radius, below which its doubt grows no further."""
+"""Distance of a node's nearest lamp, over the node's radius, below which its uncertainty grows no further."""
 
 FAR = 1.5
-"""Distance of a node from a point, in its radii, above which its lamps count as one when packets are sent past them."""
+"""Distance of a node from a point, in its radii, above which its lamps count as one for packets sent past lamps."""
 
 BELOW_ONE = 1.0 - 2.0**-53
 """Largest random number."""
@@ -52,15 +52,15 @@ ASKED = np.dtype(
     [
         ("node", "i8"),
         ("estimate", "f8"),  # of the light, W/m²
-        ("doubt", "f8"),  # by how much that may be wrong; negative: the node is taken surely
+        ("doubt", "f8"),  # uncertainty of the estimate; negative: the node is kept with certainty
         ("lamp", "i8"),
-        ("share", "f8"),  # one over the chance with which it is asked
+        ("share", "f8"),  # one over the probability of sampling it
     ]
 )
-"""A node that a point has opened, and the lamp of it that it asks."""
+"""A node opened by a point, and the lamp sampled in it."""
 
 NO_NORMAL = (0.0, 0.0, 0.0)
-"""In place of the normal of a point that all light reaches: in a medium, or on rough glass."""
+"""Stands for the normal at a point lit from all sides: in a medium, or on rough glass."""
 
 Place = tuple[float, float, float]
 
@@ -69,20 +69,20 @@ Place = tuple[float, float, float]
 def lamps_to_ask(
     options: Options, lamps: Lamps, packet: Any, place: Place, normal: Place, asked: NDArray[np.void]
 ) -> int:  # fmt: skip
-    """Choose the lamps that a point asks; return their number.
+    """Choose the lamps that a point samples; return their number.
 
     Parameters
     ----------
     options : Options
     lamps : Lamps
     packet : PACKET
-        It has the random numbers.
+        Source of the random numbers.
     place : (3,) float, mm
         The point, object frame.
     normal : (3,) float
-        Unit normal of the point on the side that is lit; `NO_NORMAL`: all sides are.
+        Unit normal on the lit side; `NO_NORMAL` if all sides are lit.
     asked : (MOST_NODES,) ASKED
-        Written: `lamp` and `share` of those that are asked.
+        Output: `lamp` and `share` of the lamps to sample.
     """
     if len(lamps.nodes) == len(lamps.rows):
         for number in range(len(lamps.rows)):
@@ -108,13 +108,13 @@ def lamps_to_ask(
 def drawn_below(
     lamps: Lamps, number: int, colour: int, place: Place, normal: Place, u: float, past: bool
 ) -> tuple[int, float]:
-    """Draw a lamp of a node; return its own node, and its chance: 0 where none of them shines.
+    """Draw a lamp of a node; return the lamp's own node and its probability, 0 if no lamp of the node shines.
 
     Parameters
     ----------
     lamps : Lamps
     number : int
-        Of the node.
+        Number of the node.
     colour : int
         Number of the wavelength.
     place, normal
@@ -122,7 +122,7 @@ def drawn_below(
     u : float
         Random number, uniform in [0, 1).
     past : bool
-        By `brightness_past`, else by the light that arrives.
+        Draw by `brightness_past` instead of by the irradiance.
     """
     chance = 1.0
     while lamps.nodes[number].lamp < 0:
@@ -136,14 +136,14 @@ def drawn_below(
         else:
             u, share = u - share, other / (one + other)
             number, u = right, u / share
-        # What is left of the number is a random number of its own.
+        # Rescaled, the number is uniform again.
         u, chance = min(u, BELOW_ONE), chance * share
     return number, chance
 
 
 @kernel
 def chance_below(lamps: Lamps, number: int, lamp: int, colour: int, place: Place) -> float:
-    """Return the chance with which `drawn_below` draws a lamp of a node, past which a packet is sent.
+    """Return the probability that `drawn_below` draws a lamp of a node, for a packet sent past it.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def chance_below(lamps: Lamps, number: int, lamp: int, colour: int, place: Place
 
 @inlined
 def _counted(lamps: Lamps, number: int, place: Place) -> int:
-    """Return the next node from some number on that counts as one lamp: a lamp, or lamps that are far from a point."""
+    """Return the next node, from some number on, that counts as one lamp: a lamp, or lamps far from a point."""
     while number < len(lamps.nodes):
         node = lamps.nodes[number]
         px, py, pz = node.middle[0] - place[0], node.middle[1] - place[1], node.middle[2] - place[2]
@@ -178,7 +178,7 @@ def _counted(lamps: Lamps, number: int, place: Place) -> int:
 
 @kernel
 def passed_lamp(lamps: Lamps, colour: int, place: Place, u: float) -> int:
-    """Draw the lamp past which a point may send a packet, by the brightness of the light round it; −1: there is none.
+    """Draw the lamp past which a point may send a packet, by the brightness of the glow round it; −1: there is none.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def passed_lamp(lamps: Lamps, colour: int, place: Place, u: float) -> int:
     while number < len(lamps.nodes):
         own = brightness_past(lamps, number, colour, place)
         if own > 0.0 and choice >= 0.0:
-            # What is left of the number is a random number of its own.
+            # Rescaled, the number is uniform again.
             drawn, rest = number, min(choice / own, BELOW_ONE)
         choice -= own
         number = _counted(lamps, lamps.nodes[number].skip, place)
@@ -207,7 +207,7 @@ def passed_lamp(lamps: Lamps, colour: int, place: Place, u: float) -> int:
 
 @kernel
 def chance_passed(lamps: Lamps, lamp: int, colour: int, place: Place) -> float:
-    """Return the chance with which `passed_lamp` draws a lamp.
+    """Return the probability that `passed_lamp` draws a lamp.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def chance_passed(lamps: Lamps, lamp: int, colour: int, place: Place) -> float:
 def _weights(
     lamps: Lamps, left: int, right: int, colour: int, place: Place, normal: Place, past: bool
 ) -> tuple[float, float]:
-    """Return what the two parts of a node are drawn in proportion to."""
+    """Return the weights for drawing one of the two parts of a node."""
     if past:
         return brightness_past(lamps, left, colour, place), brightness_past(lamps, right, colour, place)
     return estimate(lamps, left, colour, place, normal)[0], estimate(lamps, right, colour, place, normal)[0]
@@ -239,9 +239,9 @@ def _weights(
 
 @kernel
 def brightness_past(lamps: Lamps, number: int, colour: int, place: Place) -> float:
-    """Return the brightness of the light round the lamps of a node, as a point sees it, in W/mm.
+    """Return the brightness, W/mm, of the glow round the lamps of a node as seen from a point.
 
-    The distance of one with a size from all its points is about as large.
+    The distance is blurred by the node's radius.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def brightness_past(lamps: Lamps, number: int, colour: int, place: Place) -> flo
 
 @kernel
 def estimate(lamps: Lamps, number: int, colour: int, place: Place, normal: Place) -> tuple[float, float]:
-    """Return about the irradiance that the lamps of a node bring to a point, and by how much it may be wrong, W/m².
+    """Return an estimate of the irradiance that the lamps of a node bring to a point, and its uncertainty, W/m².
 
     Parameters
     ----------
@@ -316,7 +316,7 @@ def estimate(lamps: Lamps, number: int, colour: int, place: Place, normal: Place
 
 @inlined
 def _of_point(lamps: Lamps, lamp: int, colour: int, place: Place, normal: Place, facing: bool) -> float:
-    """Return the irradiance that a point lamp brings, W/m²; 0 at the lamp itself."""
+    """Return the irradiance from a point lamp, W/m²; 0 at the lamp itself."""
     light = lamps.rows[lamp]
     position = light.position[0], light.position[1], light.position[2]
     if position == place:
@@ -328,14 +328,14 @@ def _of_point(lamps: Lamps, lamp: int, colour: int, place: Place, normal: Place,
 
 @inlined
 def widened(cosine: float, cos_more: float, sin_more: float) -> tuple[float, float]:
-    """Return the cosines of the largest and of the smallest angle that differ from one by up to another.
+    """Return the cosines of the largest and smallest angle within a given angle of another.
 
     Parameters
     ----------
     cosine : float
-        Of the angle.
+        Cosine of the angle.
     cos_more, sin_more : float
-        Of the other one.
+        Cosine and sine of the largest deviation.
     """
     sine = np.sqrt(max(1.0 - cosine * cosine, 0.0))
     least = cosine * cos_more - sine * sin_more if cosine > -cos_more else -1.0
@@ -347,7 +347,7 @@ def widened(cosine: float, cos_more: float, sin_more: float) -> tuple[float, flo
 def _opened(
     lamps: Lamps, colour: int, place: Place, normal: Place, settled: float, asked: NDArray[np.void]
 ) -> int:  # fmt: skip
-    """Write the nodes that a point opens, with their estimates; return their number."""
+    """Open nodes for a point and write them with their estimates; return their number."""
     count, root = 0, 0
     while root < len(lamps.nodes):
         count = _added(lamps, root, colour, place, normal, asked, count)
@@ -374,7 +374,7 @@ def _opened(
 def _added(
     lamps: Lamps, number: int, colour: int, place: Place, normal: Place, asked: NDArray[np.void], count: int
 ) -> int:
-    """Add a node to those that a point has opened, unless none of its lamps shines there; return their number."""
+    """Add a node to the open ones, unless none of its lamps shines at the point; return their number."""
     light, doubt = estimate(lamps, number, colour, place, normal)
     if not light > 0.0:
         return count
@@ -384,18 +384,10 @@ def _added(
 
 @kernel
 def _thinned(asked: NDArray[np.void], count: int, most: int, u: float) -> int:
-    """Keep some of more nodes, by their estimates; return their number.
+    """Keep at most `most` of `count` open nodes, by their estimates; return their number.
 
-    Those for which that number of draws would be one or more are kept surely; of the others each that holds one of even
-    steps along the sum of their chances (systematic sampling).
-
-    Parameters
-    ----------
-    asked : (MOST_NODES,) ASKED
-    count, most : int
-        Number of nodes, and of those that are kept.
-    u : float
-        Random number, uniform in [0, 1).
+    Nodes with an expected number of draws of one or more are kept with certainty. The others are kept by systematic
+    sampling: evenly spaced steps, offset by a random number, along the sum of their probabilities.
     """
     left, whole, more = most, 0.0, True
     while more and left > 0:
@@ -405,7 +397,7 @@ def _thinned(asked: NDArray[np.void], count: int, most: int, u: float) -> int:
                 whole += asked[k].estimate
         for k in range(count):
             if asked[k].doubt >= 0.0 and asked[k].estimate * left >= whole:
-                # The rest is added up anew: beside one that is far brighter, its digits are lost.
+                # Sum the rest anew: a far brighter node makes it lose digits.
                 asked[k].doubt, left, more = -1.0, left - 1, True
                 break
     kept, sum_of_chances = 0, 0.0

@@ -1,13 +1,11 @@
 """Light scattered once near lamps: directions past a lamp, their density, and points on the line.
 
-A way past a lamp leads into the light that a medium scatters there, whose brightness grows like one over the angle from
-the lamp. It brings nothing but what a medium scatters of that lamp's light on its line; more often scattered light, and
-that of other lamps, is found by scattered rays alone.
+A way past a lamp samples the glow of the medium round it, which grows as one over the angle from the lamp. It brings
+only that lamp's light, scattered once on its line. All other light is left to scattered rays.
 
-On that line a point is drawn by the phase function and by the angle at which the lamp sees the line, so that together
-with the direction any point of the medium is drawn in proportion to the light that it scatters to where the packet
-began, but for what is lost on the way (as in Georgiev et al., Joint importance sampling of low-order volumetric
-scattering, SIGGRAPH Asia 2013).
+The point on the line is drawn by the phase function and by the angle at which the lamp sees the line. Any point of the
+medium is then drawn in proportion to the light that it scatters to the packet's start, apart from extinction (as in
+Georgiev et al., Joint importance sampling of low-order volumetric scattering, SIGGRAPH Asia 2013).
 """
 
 from typing import Any
@@ -38,7 +36,7 @@ from lfmesh.transport.tables.volumes import Volumes
 Array = NDArray[np.float64]
 
 LAMP_U, LAMP_V, BY_ANGLE, ALONG, LAMP, SENT = 0, 1, 2, 3, 4, 5
-"""Dimensions of the random numbers of a way past a lamp: the lamp's point, and the point on the line."""
+"""Dimensions of the random numbers of a way past a lamp: point of the lamp, point on the line, choice of the lamp."""
 
 
 @inlined
@@ -50,7 +48,7 @@ def is_asked(volumes: Volumes, options: Options, events: int) -> bool:
     volumes : Volumes
     options : Options
     events : int
-        That the packet has had.
+        Number of the packet's events so far.
     """
     return (
         len(volumes.near_lamps.angles) > 0 and options.bounce and volumes.scatters and events + 1 < options.max_events
@@ -61,7 +59,7 @@ def is_asked(volumes: Volumes, options: Options, events: int) -> bool:
 def sample(
     near_lamps: SingleScatter, options: Options, objects: ObjectTables, packet: Any, key: np.uint64
 ) -> Way:  # fmt: skip
-    """Draw a way past a lamp from the point where a packet is, in air.
+    """Draw a way past a lamp from a packet's position in air.
 
     Parameters
     ----------
@@ -70,7 +68,7 @@ def sample(
     objects : ObjectTables
     packet : PACKET
     key : uint64
-        Of the random numbers.
+        Key of the random numbers.
     """
     place, colour = (packet.x, packet.y, packet.z), packet.colour
     number, drawn, ray = NO_SURFACE, 0.0, ray_of(packet)
@@ -96,7 +94,7 @@ def sample(
 def density(
     near_lamps: SingleScatter, objects: ObjectTables, packet: Any, number: int, of_lamp: tuple[float, float, float]
 ) -> float:  # fmt: skip
-    """Return the density, 1/sr, with which `sample` draws the direction of a packet's ray past a lamp.
+    """Return the density, 1/sr, of `sample` for the direction of a packet's ray past a lamp.
 
     Parameters
     ----------
@@ -105,9 +103,9 @@ def density(
     packet : PACKET
         At the start of the ray.
     number : int
-        Of the lamp.
+        Number of the lamp.
     of_lamp : (3,) float, mm
-        Point of the lamp that the light comes from.
+        Point of the lamp that emits the light.
     """
     chance = _chance(near_lamps, objects.lamps, number, packet.colour, (packet.x, packet.y, packet.z))
     if chance <= 0.0:
@@ -121,10 +119,10 @@ def gather(
     near_lamps: SingleScatter, flow: Flow, objects: ObjectTables, packet: Any, line: Line, passage: Passage,
     key: np.uint64,
 ) -> None:  # fmt: skip
-    """Send a shadow packet to a lamp from a random point of the line of a packet that goes past it.
+    """Send a shadow packet to a lamp from a random point on the line of a packet sent past that lamp.
 
-    The point is drawn by the mean phase function over the angle of scattering or, with equal chance, by what is
-    scattered there: the sum of both densities divides the light (balance heuristic).
+    The point is drawn by the mean phase function over the scattering angle or, with equal chance, by the local
+    scattering. The light is divided by the sum of both densities (balance heuristic).
 
     Parameters
     ----------
@@ -134,11 +132,11 @@ def gather(
     packet : PACKET
         At the start of the line, in no body of glass.
     line : Line
-        Of the packet.
+        Line of the packet.
     passage : Passage
-        Along the line.
+        Passage along the line.
     key : uint64
-        Of the random numbers of its way.
+        Key of the random numbers of the way.
     """
     volumes, colour, ray = objects.volumes, line.colour, line.ray
     light = objects.lamps.rows[packet.goal]
@@ -173,14 +171,14 @@ def gather(
 
 @inlined
 def _distance(light: Any, place: tuple[float, float, float]) -> float:
-    """Return the distance of a lamp from a point, mm; that of one with a size from all its points is about as large."""
+    """Return the distance of a lamp from a point, mm, blurred by the size of the lamp."""
     px, py, pz = light.position[0] - place[0], light.position[1] - place[1], light.position[2] - place[2]
     return np.sqrt(px * px + py * py + pz * pz + light.size * light.size)
 
 
 @inlined
 def _chance_sent(near_lamps: SingleScatter, colour: int, far: float) -> float:
-    """Return the chance that a packet is sent past a lamp: in thin media, the light round it is of little weight."""
+    """Return the probability of sending a packet past a lamp: small in thin media, where the glow has little weight."""
     depth = 0.0
     for number in range(len(near_lamps.extent)):
         depth += near_lamps.scattering[number, colour] * min(far, near_lamps.extent[number])
@@ -191,7 +189,7 @@ def _chance_sent(near_lamps: SingleScatter, colour: int, far: float) -> float:
 def _chance(
     near_lamps: SingleScatter, lamps: Lamps, number: int, colour: int, place: tuple[float, float, float]
 ) -> float:  # fmt: skip
-    """Return the chance with which a point sends a packet past a lamp."""
+    """Return the probability that a point sends a packet past a given lamp."""
     far = _distance(lamps.rows[number], place)
     return _chance_sent(near_lamps, colour, far) * chance_passed(lamps, number, colour, place)
 
@@ -209,7 +207,7 @@ def _lamp_drawn(
 
 @inlined
 def _past(place: tuple[float, float, float], ray: Ray) -> tuple[float, float, float]:
-    """Return where a ray is nearest to a point, and the distances of the point there and from the ray's start, mm."""
+    """Return a ray's closest approach to a point, along it and off it, and the point's distance from its start, mm."""
     px, py, pz = place[0] - ray.x, place[1] - ray.y, place[2] - ray.z
     s = px * ray.dx + py * ray.dy + pz * ray.dz
     ex, ey, ez = px - s * ray.dx, py - s * ray.dy, pz - s * ray.dz
@@ -219,6 +217,6 @@ def _past(place: tuple[float, float, float], ray: Ray) -> tuple[float, float, fl
 
 @inlined
 def _per_solid_angle(near_lamps: SingleScatter, colour: int, angle: float, sine: float) -> float:
-    """Return the density, 1/sr, with which directions past a lamp are drawn at an angle, rad, from it."""
+    """Return the density, 1/sr, of directions past a lamp at an angle, rad, from it."""
     whole = near_lamps.below[colour, len(near_lamps.angles) - 1]
     return light_beyond(near_lamps, colour, angle) / (2.0 * np.pi * whole * sine)

@@ -1,6 +1,6 @@
-"""Facets and round faces that single rays in object space meet first, for questions that are asked before the tracing.
+"""First facets and round faces met by single rays in object space, for questions before tracing.
 
-Embree names the facet, as it does for packets; the distance is that of its plane, in float64.
+Embree identifies the facet, as for packets; the distance is that of its plane, in float64.
 """
 
 import numpy as np
@@ -18,24 +18,24 @@ Array = NDArray[np.float64]
 def first_met(
     objects: ObjectTables, finder: Finder, starts: Array, directions: Array
 ) -> tuple[NDArray[np.int64], Array, Array]:  # fmt: skip
-    """Return what rays meet first.
+    """Return the first facet that each ray meets.
 
     Parameters
     ----------
     objects : ObjectTables
     finder : Finder
-        Of object space.
+        Finder of object space.
     starts, directions : (n, 3) float64
-        The rays, mm and unit vectors, object frame.
+        Rays in the object frame, mm and unit vectors.
 
     Returns
     -------
     facet : (n,) int64
-        Number of the facet, round faces behind the others; −1: the ray meets nothing.
+        Number of the facet, round faces numbered last; −1: the ray meets nothing.
     t : (n,) float64, mm
         Distance; inf if the ray meets nothing.
     normal : (n, 3) float64
-        Unit normal of the facet, not of the side that is met.
+        Unit normal of the facet, on whichever side the ray arrives.
     """
     if not len(objects.facets):
         return np.full(len(starts), -1), np.full(len(starts), np.inf), np.zeros((len(starts), 3))
@@ -56,7 +56,7 @@ def first_met(
 def _meet_rounds(
     rounds: RoundFaces, starts: Array, directions: Array, facet: NDArray[np.int64], t: Array, normal: Array
 ) -> None:
-    """Enter the round faces that rays meet before what they are known to meet."""
+    """Replace hits by nearer hits on round faces, in place."""
     for i in range(len(starts)):
         ray = Ray(starts[i, 0], starts[i, 1], starts[i, 2], directions[i, 0], directions[i, 1], directions[i, 2])
         number, nearest, _ = first_round(rounds, None, ray, -1, t[i])

@@ -1,4 +1,4 @@
-"""Packets at glass in object space: refracted and reflected, or scattered where the glass is rough."""
+"""Packets at glass in object space: refracted, reflected, or scattered by rough glass."""
 
 from typing import Any, NamedTuple
 
@@ -53,23 +53,23 @@ Curved = tuple[int, float, float, float, float]
 
 
 class RoughFace(NamedTuple):
-    """A point on a rough facet of glass that a packet meets.
+    """Point at which a packet meets a rough facet of glass.
 
     Attributes
     ----------
     prim : int
-        The facet.
+        Facet.
     inside, after : int
-        Bodies before and behind it.
+        Bodies before and behind the facet.
     beyond : int
-        Medium behind it.
+        Medium behind the facet.
     number : int
         Row of the interface in its table.
     x, y, z : float, mm
     nx, ny, nz : float
         Unit normal along the ray.
     n_i, n_t : float
-        Refractive index before and behind it.
+        Refractive index before and behind the facet.
     """
 
     prim: int
@@ -107,20 +107,20 @@ _send_from_rough_glass = scatterer(_send_from_glass)
 def through_glass(glass: Any, space: ObjectSpace, packet: Any, prim: int, t: float, curved: Curved) -> None:
     """Split a packet at a facet of a glass body, at distance t, by the media on both sides.
 
-    A facet between equal indices, or inside another body of a higher rank, has no effect.
+    A facet has no effect between equal indices, or inside another body of a higher rank.
 
     Parameters
     ----------
     glass : GlassTables or None
-        None: there is no glass, and numba compiles nothing but the first line.
+        None: there is no glass, and numba compiles only the first line.
     space : ObjectSpace
     packet : PACKET
     prim : int
-        The facet.
+        Facet.
     t : float, mm
     curved : tuple
-        Facet of the curved patch, or round face, that the packet meets itself, or −1; its distance, which is then t,
-        and its normal.
+        Facet of the curved patch, or round face, that the packet meets exactly, its distance (equal to t) and its
+        normal; the facet is −1 if there is none.
     """
     if glass is None:
         return
@@ -133,7 +133,7 @@ def through_glass(glass: Any, space: ObjectSpace, packet: Any, prim: int, t: flo
     entering = not is_in(inside, objects.rank[body])
     on_patch, is_round = curved[0] >= 0, facet.size == 0.0
     if on_patch and not is_round:
-        # Bodies that touch have the same facets: which of them are met is seen on the facet, along its normal.
+        # Touching bodies share facets: test on the facet, along its normal, which bodies the packet meets.
         fx, fy, fz = nearest_on_facet(facet, x, y, z)
         sense, normal = -1.0 if entering else 1.0, facet.normal
         after = beyond_facet(
@@ -155,8 +155,8 @@ def through_glass(glass: Any, space: ObjectSpace, packet: Any, prim: int, t: flo
     elif level == PATCH:
         met, more, nx, ny, nz = meets_patch(flow, glass.patches, glass.across, facet, prim, Ray(x, y, z, dx, dy, dz))
         if rough:
-            # A ray that scatters along a curved patch would run between it and the facets, where no query finds a way
-            # out: it starts on the facet, and only the normal is the patch's.
+            # A ray scattered along a curved patch would run between it and the facets, and no query would find its
+            # exit. It starts on the facet instead, with the normal of the patch.
             more = 0.0
         elif met and t + more <= 0.0:
             further = next_query_from(facet, packet, t)
@@ -167,8 +167,8 @@ def through_glass(glass: Any, space: ObjectSpace, packet: Any, prim: int, t: flo
         nx, ny, nz = facet_normal(level, facet, x, y, z)
     cos_i = nx * dx + ny * dy + nz * dz
     if (cos_i < 0.0) != entering and not is_round:
-        # An interpolated normal may point against a grazing ray; the facet's normal then replaces it. That of a round
-        # face does so to rounding, where it is square to the ray.
+        # An interpolated normal may point against a grazing ray; the facet's normal then replaces it. A round face's
+        # normal, perpendicular to the ray, may do so by rounding.
         normal = facet.normal
         nx, ny, nz = normal[0], normal[1], normal[2]
         cos_i = nx * dx + ny * dy + nz * dz
@@ -182,7 +182,7 @@ def through_glass(glass: Any, space: ObjectSpace, packet: Any, prim: int, t: flo
     if n_i == n_t and inside != 0 and after != 0 and not (uncovered and is_coated(glass.interfaces, number)):
         packet.medium, packet.facet = beyond, NO_SURFACE
         if packet.kind == CAMERA and not (options.adjoint or options.tracing):
-            # Its share is taken: from here on it is not the child that rough glass aims through air.
+            # Its share is settled: it no longer is the child that rough glass aims through air.
             packet.kind = SPECULAR
         set_bodies(packet, after)
         clear = clear_of(facet, x, y, z, dx, dy, dz)
@@ -212,15 +212,15 @@ def through_glass(glass: Any, space: ObjectSpace, packet: Any, prim: int, t: flo
 
 @kernel
 def _through_rough_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any, face: RoughFace) -> None:
-    """Gather light at a rough facet of glass, and send the packet on in a random direction, with its whole weight.
+    """Gather light at a rough facet of glass, and scatter the packet on with its whole weight.
 
-    As on a target, the adjoint method finds the light of lamps by next-event estimation. The forward method sends a
-    child aimed at the entrance pupil, which counts if it goes straight there; the other child counts if it does not.
+    As on a target, the adjoint method samples lamps. The forward method sends a child aimed at the entrance pupil,
+    which counts if it goes straight there; the other child counts if it does not.
     """
     options, flow, frames, objects, _ = space
     packet.facet, packet.last = NO_SURFACE, NO_SURFACE
     if packet.kind == LAMP and not counts(options, packet):
-        # Its path belongs to another class, which is estimated from the sensor.
+        # Its path belongs to another class, estimated from the sensor.
         flow.book[SAMPLING_REMOVED] += packet.weight
         return
     if options.adjoint and counts(options, packet):
@@ -230,7 +230,7 @@ def _through_rough_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any
     )
     fx, fy, fz = _along_facet(objects.facets[face.prim], face)
     if (fx * dx + fy * dy + fz * dz > 0.0) != passes:
-        # The normal of a curved patch, or an interpolated one, differs from the facet's, which parts the media.
+        # A patch or interpolated normal differs from the facet's, which separates the media.
         dx, dy, dz = reflected(dx, dy, dz, fx, fy, fz)
     packet.kind = SPECULAR
     if options.aimed and not options.adjoint and not options.tracing:
@@ -244,7 +244,7 @@ def _through_rough_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any
 
 @inlined
 def _along_facet(facet: Any, face: RoughFace) -> tuple[float, float, float]:
-    """Return a facet's normal, in the sense of the normal of its surface; of a round face, that itself."""
+    """Return a facet's normal, oriented like its surface's; for a round face, the surface normal."""
     if facet.size == 0.0:
         return face.nx, face.ny, face.nz
     normal = facet.normal
@@ -254,7 +254,7 @@ def _along_facet(facet: Any, face: RoughFace) -> tuple[float, float, float]:
 
 @kernel
 def _ask_lamps_at_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any, face: RoughFace) -> None:
-    """Send shadow packets to lamps that a rough facet of glass sees through air, on either of its sides."""
+    """Send shadow packets to lamps that a rough facet of glass sees through air, on either side."""
     objects, x, y, z, asked = space.objects, face.x, face.y, face.z, space.flow.asked
     for k in range(lamps_to_ask(space.options, objects.lamps, packet, (x, y, z), NO_NORMAL, asked)):
         lamp = asked[k].lamp
@@ -273,7 +273,7 @@ def _ask_lamps_at_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any,
 
 @kernel
 def _aim_from_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any, face: RoughFace) -> None:
-    """Queue a child that is aimed at the entrance pupil, if the rough facet of glass sees it through air."""
+    """Queue a child aimed at the entrance pupil, if the rough facet of glass sees it through air."""
     flow, objects, aim, x, y, z = space.flow, space.objects, space.aim, face.x, face.y, face.z
     px, py, pz = move_point(space.frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
     numbers = draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V)
@@ -297,13 +297,9 @@ def _density_into_air(
     interfaces: Interfaces, objects: ObjectTables, packet: Any, face: RoughFace, direction: tuple[float, float, float],
     lamp: int,
 ) -> float:  # fmt: skip
-    """Return the density, 1/sr, with which a rough facet scatters a packet in a direction; 0: not into air.
+    """Return the density, 1/sr, of scattering by a rough facet into a direction; 0 if that is not in air.
 
-    Parameters
-    ----------
-    direction : (3,) float
-    lamp : int
-        See `scattered_density`.
+    For `lamp`, see `scattered_density`.
     """
     ux, uy, uz = direction
     nx, ny, nz = face.nx, face.ny, face.nz
@@ -312,7 +308,7 @@ def _density_into_air(
     if (face.after if passes else face.inside) != 0:
         return 0.0
     density = 0.0
-    # A direction is also what the facet makes of its mirror image, where that lies on the other side of the facet.
+    # The facet also sends the direction's mirror image this way, if the image lies on the other side of the facet.
     for vx, vy, vz in ((ux, uy, uz), reflected(ux, uy, uz, fx, fy, fz)):
         if (nx * vx + ny * vy + nz * vz > 0.0) == passes:
             density += scattered_density(

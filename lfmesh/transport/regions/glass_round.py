@@ -1,4 +1,4 @@
-"""Bodies of glass round the points at which light starts: a ray from inside a tank starts in its water."""
+"""Bodies of glass around the starting points of light: a ray from inside a tank starts in its water."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from lfmesh.transport.tables.tables import AIR, ObjectTables
 
 
 def glass_round(objects: ObjectTables, targets: list[TargetMesh], points: Array) -> NDArray[np.int64]:
-    """Return the bodies of glass that points are in, (n,) int64 as packets hold them; 0: none.
+    """Return the bodies of glass around points, (n,) int64 as packets hold them; 0: none.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def glass_round(objects: ObjectTables, targets: list[TargetMesh], points: Array)
     Raises
     ------
     LfmeshError
-        A point is in more bodies at once than packets can keep.
+        A point lies in more bodies than packets can keep.
     """
     inside = np.zeros(len(points), np.int64)
     bodies = np.flatnonzero(objects.rank)
@@ -31,7 +31,7 @@ def glass_round(objects: ObjectTables, targets: list[TargetMesh], points: Array)
         return inside
     boxes = np.array([targets[body].box_mm for body in bodies])
     low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-    # Most rays start far from all glass, and many at few points.
+    # Most rays start far from all glass, many of them at the same points.
     near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
     places, of_point = np.unique(points[near], axis=0, return_inverse=True)
     number = np.zeros(len(places), np.int64)
@@ -53,7 +53,7 @@ def glass_round(objects: ObjectTables, targets: list[TargetMesh], points: Array)
 def places_round(
     objects: ObjectTables, targets: list[TargetMesh], points: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the bodies that points are in, as `glass_round` does, and the numbers of the media there, (n,) int64 each.
+    """Return the bodies around points, as `glass_round` does, and the numbers of the media there, (n,) int64 each.
 
     Parameters
     ----------
@@ -69,13 +69,13 @@ def places_round(
 
 
 def start_inside(packets: NDArray[np.void], inside: NDArray[np.int64], objects: ObjectTables) -> None:
-    """Let packets in object space start in bodies of glass.
+    """Let packets in object space start inside bodies of glass.
 
     Parameters
     ----------
     packets : (n,) PACKET
     inside : (n,) int64
-        From `glass_round`; where it is 0, packets stay as they are.
+        From `glass_round`; packets with 0 stay unchanged.
     objects : ObjectTables
     """
     some = np.flatnonzero(inside)

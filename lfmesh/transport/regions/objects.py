@@ -1,6 +1,6 @@
 """Object space: hits on targets, glass and housing, shadow packets, and entry into the lens.
 
-All in the object frame. The same kernel serves both methods. Scattering on targets is in `targets`.
+Everything is in the object frame, and both methods share the kernel. `targets` holds the scattering on targets.
 """
 
 from typing import Any
@@ -72,7 +72,7 @@ def admit_to_objects(
     ----------
     wave : (n,) PACKET
     origins, directions : (n, 3) float32
-        Written.
+        Output.
     frames : (6, 6, 3, 4) float64
     """
     for i in range(len(wave)):
@@ -90,7 +90,7 @@ def shade_objects(
     ----------
     wave : (n,) PACKET
     found : (n,) int32
-        Facets that Embree found; −1: none.
+        Facets found by Embree; −1: none.
     lens : LensTables
     space : ObjectSpace
     """
@@ -108,7 +108,7 @@ def shade_objects(
             along = normal[0] * dx + normal[1] * dy + normal[2] * dz
             height = normal[0] * x + normal[1] * y + normal[2] * z - facet.offset
             t = -height / along if along != 0.0 else -np.inf
-            # A hit nearer than the start of the query is on the facet that the packet left, or on one in its plane.
+            # A hit closer than the start of the query is on the facet that the packet left, or on one in its plane.
             if prim == packet.facet or t <= 0.25 * packet.query_from or t <= 0.0:
                 if abs(packet.tries) < MAX_TRIES:
                     again = next_query_from(facet, packet, t if t > 0.0 else 0.0)
@@ -119,12 +119,12 @@ def shade_objects(
         prim, t, along, curved = _first_of_all(objects, packet, prim, t, along)
         facet = facets[max(prim, 0)]
         if prim < 0 and packet.tries == 0 and _might_have_met(objects, packet):
-            # Embree lets a ray pass that is aimed exactly at a vertex.
+            # Embree misses a ray aimed exactly at a vertex.
             requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
         if packet.kind != SHADOW and curved[0] < 0 and not _in_its_medium(objects, packet, prim, t, along):
             if prim >= 0 and abs(packet.tries) < MAX_TRIES and _is_in_contact(objects.glass, prim):
-                # To rounding, a face of a body that was already entered or left where it touches another body.
+                # By rounding, a face of a body already entered or left at its contact with another body.
                 requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
                 continue
             # The query started beyond a facet, near an edge of the body, or missed the body at a vertex.
@@ -135,7 +135,7 @@ def shade_objects(
             prim, t, along, curved = _first_of_all(objects, packet, prim, t, along)
             if prim < 0 and (packet.bodies >= 0 or _comes_out_ahead(objects, packet)):
                 if packet.facet == LEFT_MEDIUM:
-                    # Emitted from a point of a medium where glass is in its place.
+                    # Emitted from a point of a medium that glass displaces.
                     flow.book[SAMPLING_REMOVED] += packet.weight
                     continue
                 lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
@@ -153,7 +153,7 @@ def shade_objects(
         if packet.last != LEFT_LENS:
             enters = _enters_lens(frames, lens, packet, t)
             if enters and packet.kind == LAMP and options.paths != LAMP_ON_CAMERA:
-                # Through the opening it meets the inside of the housing, and ends; else it passes beside the lens.
+                # Through the opening it ends inside the housing; otherwise it passes beside the lens.
                 if prim >= 0 and facet.body < 0:
                     flow.book[LENS_FRONT] += packet.weight
                     continue
@@ -170,16 +170,16 @@ def shade_objects(
                     flow.book[SAMPLING_REMOVED] += packet.weight
                 continue
             elif packet.kind == CAMERA and packet.facet == NO_SURFACE and not (options.adjoint or options.tracing):
-                # Aimed from rough glass: what does not go straight to the lens is the other child's.
+                # Aimed from rough glass: light that does not go straight to the lens belongs to the other child.
                 flow.book[SAMPLING_REMOVED] += packet.weight
                 continue
             elif options.bounce and options.aimed and not options.adjoint and packet.facet != NO_SURFACE:
-                # It left a target, which sends two packets this way: one aimed at the lens, one not aimed.
+                # It left a target, which sends two packets this way: one aimed at the lens, one unaimed.
                 into_glass = prim >= 0 and facet.body >= 0 and objects.medium[facet.body] != OPAQUE
                 if into_glass and (packet.kind == CAMERA or packet.kind == SCATTERED):
                     share_with_other(flow, frames, aim, packet)
                 elif packet.kind == CAMERA:
-                    # Neither into the lens nor into glass: whatever is there is lit by the packet that is not aimed.
+                    # Neither into the lens nor into glass: the unaimed packet lights whatever is there.
                     flow.book[SAMPLING_REMOVED] += packet.weight
                     continue
         if prim < 0:
@@ -198,7 +198,7 @@ def shade_objects(
             end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, status)
             continue
         if packet.kind == LAMP and not counts(options, packet):
-            # Its path belongs to another class, which is estimated from the sensor.
+            # Its path belongs to another class, estimated from the sensor.
             flow.book[SAMPLING_REMOVED] += packet.weight
             continue
         if too_deep(options, flow, frames, packet):
@@ -210,26 +210,23 @@ def shade_objects(
 def _first_of_all(
     objects: ObjectTables, packet: Any, prim: int, t: float, along: float
 ) -> tuple[int, float, float, Curved]:
-    """Return what a packet meets first: a facet that was found, or a curved patch or a round face before it.
+    """Return the first hit of a packet: a facet already found, or a curved patch or round face before it.
 
     Parameters
     ----------
-    objects : ObjectTables
-    packet : PACKET
     prim : int
-        The facet; −1: none.
+        Facet; −1: none.
     t : float, mm
-        Its distance; none is looked for beyond, if it lies ahead.
+        Distance of the facet; limits the search if it lies ahead.
     along : float
-        Its normal · direction.
+        The facet's normal · direction.
 
     Returns
     -------
-    prim : int
-    t : float, mm
-    along : float
+    prim, t, along
+        The first hit.
     curved : tuple
-        See `_first_curved`; of a round face of glass, too.
+        As from `_first_curved`, also for a round face of glass.
     """
     curved = _first_curved(objects.glass, objects, packet, t if t > 0.0 else np.inf)
     if curved[0] >= 0:
@@ -239,7 +236,7 @@ def _first_of_all(
 
 @inlined
 def _sense_at(state: Any, body: int) -> float:
-    """Return the sense in which a packet that is in some bodies of glass meets the patches of a body."""
+    """Return the side from which a packet meets the patches of a body, by the bodies around it."""
     inside, rank = state
     return 1.0 if is_in(inside, rank[body]) else -1.0
 
@@ -249,21 +246,20 @@ _first_patch = patch_finder(_sense_at)
 
 @inlined
 def _first_curved(glass: Any, objects: ObjectTables, packet: Any, until: float) -> Curved:
-    """Return the first curved patch of glass that a packet meets before a distance, even where it passes all facets.
+    """Return the first curved patch of glass that a packet meets within a distance, even if it misses all facets.
 
     Parameters
     ----------
     glass : GlassTables or None
-        None: there is no glass, and numba compiles nothing but the first line.
-    until : float, mm
+        None: there is no glass, and numba compiles only the first line.
 
     Returns
     -------
     prim : int
-        Facet of the patch; −1: it meets none.
+        Facet of the patch; −1: none.
     t : float, mm
     nx, ny, nz : float
-        Unit normal of the patch, in the sense of its facet's.
+        Unit normal of the patch, oriented like its facet's.
     """
     if glass is None:
         return -1, until, 0.0, 0.0, 1.0
@@ -275,13 +271,9 @@ def _first_curved(glass: Any, objects: ObjectTables, packet: Any, until: float) 
 
 @inlined
 def _is_met(state: Any, number: int, t: float, along: float) -> bool:
-    """Tell whether a packet meets a round face that it crosses: glass by the bodies it is in, sheer targets by chance.
+    """Tell whether a round face stops a packet: glass by the bodies around the packet, transparent targets by chance.
 
-    Parameters
-    ----------
-    state : tuple of ObjectTables and PACKET
-    number, t, along
-        See `round_finder`.
+    `state` holds ObjectTables and PACKET; see `round_finder`.
     """
     objects, packet = state
     prim = objects.rounds.first + number
@@ -298,18 +290,15 @@ _first_round = round_finder(_is_met)
 def _round_before(
     rounds: Any, objects: ObjectTables, packet: Any, prim: int, t: float, along: float, curved: Curved
 ) -> tuple[int, float, float, Curved]:
-    """Return the result of `_first_of_all`, where what was found before is a facet or a curved patch.
+    """Return the result of `_first_of_all` from the first hit on a facet or curved patch.
 
-    Parameters
-    ----------
-    rounds : RoundFaces or None
-        None: there are none, and numba compiles nothing but the first line.
+    `rounds` is None if there are no round faces; numba then compiles only the first line.
     """
     if rounds is None:
         return prim, t, along, curved
     until = t if t > 0.0 else np.inf
     if packet.kind == SHADOW and packet.light == TO_LAMP:
-        # To a facet that shines it goes up to that itself.
+        # A way to an emitting facet extends to the facet itself.
         until = min(until, packet.limit)
     ray = ray_of(packet)
     number, nearest, steepness = _first_round(rounds, (objects, packet), ray, packet.facet - rounds.first, until)
@@ -331,7 +320,7 @@ def _as_met(curved: Curved, dx: float, dy: float, dz: float) -> tuple[int, float
 
 @inlined
 def _is_sheer(objects: ObjectTables, body: int) -> bool:
-    """Tell whether light may pass straight through a target that is no glass."""
+    """Tell whether light may pass straight through a target that is not glass."""
     return body >= 0 and objects.opacity[body] < 1.0
 
 
@@ -339,12 +328,12 @@ def _is_sheer(objects: ObjectTables, body: int) -> bool:
 def _pass_on(
     options: Options, flow: Flow, frames: Array, objects: ObjectTables, packet: Any, prim: int, t: float
 ) -> None:
-    """Let a packet pass through a facet: the same ray is queried from behind the facet."""
+    """Let a packet pass through a facet: query the same ray from behind the facet."""
     facet = objects.facets[prim]
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     behind = t + clear_of(facet, packet.x + t * dx, packet.y + t * dy, packet.z + t * dz, dx, dy, dz)
     if behind <= packet.query_from:
-        # The query, which began behind it, has found it once more.
+        # The query began behind the facet and has found it again.
         requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
         return
     limit = packet.limit
@@ -352,21 +341,13 @@ def _pass_on(
         flow, OBJECTS, packet, OBJECT_FRAME, packet.x, packet.y, packet.z, dx, dy, dz, packet.weight, packet.key, behind
     )
     child.limit = limit
-    # A ray that met nothing is queried again from its start, but once only, whatever it passes through.
+    # A ray that met nothing is queried again from its start only once, whatever it passes through.
     child.tries = packet.tries
 
 
 @inlined
 def _follow_shadow(space: ObjectSpace, lens: LensTables, packet: Any, met: Met) -> None:
-    """Let a shadow packet bring what its light sends, if nothing that it meets is in between.
-
-    Parameters
-    ----------
-    space : ObjectSpace
-    lens : LensTables
-    packet : PACKET
-    met : Met
-    """
+    """Let a shadow packet bring its light if nothing stands in between."""
     objects = space.objects
     if packet.light == TO_LAMP:
         if met.t < packet.limit:
@@ -374,7 +355,7 @@ def _follow_shadow(space: ObjectSpace, lens: LensTables, packet: Any, met: Met) 
         reach = packet.limit
     elif packet.light == TO_FACET:
         reach = met.t
-        # A scattered packet that comes to the lens first goes into it, and keeps its full weight.
+        # A scattered packet that meets the lens first enters it with its full weight.
         if not is_reached(objects, packet, met.prim, met.t) or _enters_lens(space.frames, lens, packet, reach):
             return
     else:
@@ -384,7 +365,7 @@ def _follow_shadow(space: ObjectSpace, lens: LensTables, packet: Any, met: Met) 
 
 @inlined
 def _enters_lens(frames: Array, lens: LensTables, packet: Any, t: float) -> bool:
-    """Tell whether a packet enters the box round the lens before a distance."""
+    """Tell whether a packet enters the box round the lens within a distance."""
     px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
     ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
     return box_entry(lens.box_low, lens.box_high, Ray(px, py, pz, ex, ey, ez)) < t
@@ -392,7 +373,7 @@ def _enters_lens(frames: Array, lens: LensTables, packet: Any, t: float) -> bool
 
 @inlined
 def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, t: float, along: float) -> bool:
-    """Tell whether a packet can meet a facet there from that side, by the bodies it is in; −1: or can meet none."""
+    """Tell whether a packet can meet a facet from that side, or nothing (−1), by the bodies around it."""
     if prim < 0:
         return packet.bodies < 0
     body = objects.facets[prim].body
@@ -403,7 +384,7 @@ def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, t: float, alon
 
 @inlined
 def _is_outside(glass: Any, objects: ObjectTables, packet: Any, t: float) -> bool:
-    """Tell whether a packet that is in a body of glass would have left its box at a distance."""
+    """Tell whether a packet in a body of glass would have left the body's box at a distance."""
     if glass is None:
         return False
     low, high = glass.boxes[objects.by_rank[bodies_round(packet) & RANK]]
@@ -413,7 +394,7 @@ def _is_outside(glass: Any, objects: ObjectTables, packet: Any, t: float) -> boo
 
 @inlined
 def _is_in_contact(glass: Any, prim: int) -> bool:
-    """Tell whether a facet may lie on one of another body of glass."""
+    """Tell whether a facet may lie on a facet of another body of glass."""
     if glass is None:
         return False
     return len(glass.contact_first) > 0 and glass.contact_first[prim + 1] > glass.contact_first[prim]
@@ -421,7 +402,7 @@ def _is_in_contact(glass: Any, prim: int) -> bool:
 
 @inlined
 def _might_have_met(objects: ObjectTables, packet: Any) -> bool:
-    """Tell whether a packet outside all glass that met nothing comes from afar and passes near the targets."""
+    """Tell whether a packet outside all glass that met nothing starts far away and passes near the targets."""
     if packet.kind == SHADOW or packet.bodies >= 0:
         return False
     x, y, z, dx, dy, dz = ray_of(packet)
@@ -432,15 +413,14 @@ def _might_have_met(objects: ObjectTables, packet: Any) -> bool:
 
 @kernel
 def _first_crossing(objects: ObjectTables, packet: Any) -> tuple[int, float, float]:
-    """Return the first facet that a packet can meet, the distance, and normal · direction; −1: none.
+    """Return the first facet that a packet can meet, its distance, and normal · direction; −1: none.
 
-    All facets are tested in float64: slow but certain. The facet that the packet left faces the wrong way for its
-    medium, so no distance from the start has to be kept; the start on a curved patch may even lie slightly beyond the
-    next facet.
+    All facets are tested in float64: slow but certain. The facet just left faces the wrong way for the packet's medium,
+    so no distance from the start is needed; the start on a curved patch may even lie slightly beyond the next facet.
     """
     x, y, z, dx, dy, dz = ray_of(packet)
     first, nearest, steepness = -1, np.inf, 0.0
-    # A shadow packet's `limit` is the distance of its light, that of a packet from the lens the way past the lens.
+    # `limit` is the distance of the light for a shadow packet, the way past the lens for a packet from the lens.
     back = 0.0 if packet.kind == SHADOW or packet.last == LEFT_LENS else packet.limit
     for prim in range(len(objects.facets)):
         t, along = crosses(objects.facets[prim], x, y, z, dx, dy, dz)
@@ -456,9 +436,9 @@ def _first_crossing(objects: ObjectTables, packet: Any) -> tuple[int, float, flo
 
 @kernel
 def _comes_out_ahead(objects: ObjectTables, packet: Any) -> bool:
-    """Tell whether a packet that is in no body would leave a body ahead, which it must have entered unnoticed.
+    """Tell whether a packet in no body would leave a body ahead, and so must have entered it unnoticed.
 
-    If not, nothing lies ahead: the facet that Embree found is one whose edge the ray passes.
+    Otherwise nothing lies ahead: the ray passes the edge of the facet that Embree found.
     """
     x, y, z, dx, dy, dz = ray_of(packet)
     for prim in range(len(objects.facets)):

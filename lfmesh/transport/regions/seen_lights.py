@@ -1,9 +1,9 @@
-"""Shares of lights in the packets of the forward method, where there are many: by their light on surfaces in view.
+"""Shares of many lights in the packets of the forward method, by their light on surfaces in view.
 
-Rays of the field find places of targets. Half of the packets are shared by the irradiance that each light brings to
-these places and to the eye, if it stands in the field, as if nothing cast a shadow. The other half, as all of them
-where lights are few, goes by the power towards all targets. So no light is left out, and packets of none are more than
-twice as heavy as by the latter alone.
+Rays of the field find places on targets. Half of the packets are shared by the unshadowed irradiance that each light
+brings to these places, and to the eye if the light stands in the field. The other half, or all packets if lights are
+few, follows the power towards all targets. So no light is left out, and packets are at most twice as heavy as with the
+second rule alone.
 """
 
 from typing import Any
@@ -30,30 +30,30 @@ ACROSS = 24
 """Number of rays along each side of the field."""
 
 MOST_PAIRS = 1 << 24
-"""Largest number of lights times places; of more, fewer places are taken."""
+"""Largest number of lights times places; beyond it, fewer places are used."""
 
 OF_SEEN = 0.5
-"""Share of the packets that follows the light on surfaces in view."""
+"""Share of the packets drawn by the light on surfaces in view."""
 
 FAR_FOCUS = 1e3
-"""Distance of the plane at which the field is taken, in focal lengths, where the camera focuses at infinity."""
+"""Distance of the plane of the field, in focal lengths, for a camera focused at infinity."""
 
 
 EMITTING = np.dtype(
     [
         ("middle", "f8", (3,)),  # mm, object frame
-        ("normal", "f8", (3,)),  # of a facet, unit; 0: it shines alike all round
+        ("normal", "f8", (3,)),  # unit normal of a facet; 0: it shines equally in all directions
         ("both", "?"),  # it shines on both sides
         ("in_field", "?"),
-        ("size2", "f8"),  # mm², square of its size: it is taken to be no nearer than that
+        ("size2", "f8"),  # mm², square of its size, the least distance assumed
         ("power", "f8"),  # W
     ]
 )
-"""A facet or a medium that emits, as a point that shines by its power."""
+"""Emitting facet or medium, reduced to a point with its power."""
 
 
 def with_seen_lights(objects: ObjectTables, facts: FirstOrder, frames: Array, finder: Finder) -> ObjectTables:
-    """Return tables whose lights start packets by their light on surfaces in view; the same where lights are few.
+    """Return tables with lights drawn by their light on surfaces in view; unchanged if lights are few.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def with_seen_lights(objects: ObjectTables, facts: FirstOrder, frames: Array, fi
     frames : (6, 6, 3, 4) float64
         See `frame_table`.
     finder : Finder
-        Of object space.
+        Finder of object space.
     """
     sources = objects.sources.copy()
     if len(sources) <= MOST_ASKED:
@@ -89,15 +89,14 @@ def with_seen_lights(objects: ObjectTables, facts: FirstOrder, frames: Array, fi
 def _seen_places(
     objects: ObjectTables, facts: FirstOrder, frames: Array, finder: Finder
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Return places of targets in the field, and the eye, object frame.
+    """Return places on targets in the field, and the eye, object frame.
 
     Returns
     -------
     places, normals : (n, 3) float64
-        mm, and unit normals on the side that is seen.
+        mm, and unit normals on the visible side.
     eye : (4,) float64
-        Vertex of the lens, mm, and the irradiance of all places together that is seen as well as that of the eye by a
-        light in the field.
+        Vertex of the lens, mm, and the weight of irradiance at the eye relative to irradiance at a place.
     """
     far = facts.object_distance_mm if np.isfinite(facts.object_distance_mm) else FAR_FOCUS * abs(facts.efl_mm)
     width, height = half_field_mm(-far, facts)
@@ -110,17 +109,17 @@ def _seen_places(
     facet, t, normal = first_met(objects, finder, starts, d)
     seen = np.flatnonzero((facet >= 0) & (np.append(objects.facets["body"], -1)[facet] >= 0))
     few = max(MOST_PAIRS // len(objects.sources), 1)
-    # Every so many: rows of the field would leave out its lower part.
+    # Take every n-th place: the first ones would leave out the lower part of the field.
     some = seen[:: max(-(-len(seen) // few), 1)]
     facing = -np.sign(np.einsum("ij,ij->i", normal[some], d[some]))[:, None] * normal[some]
-    # A light in the field is seen on as many rays as its solid angle holds; a place, by its irradiance over π.
+    # A light in the field is seen by all rays in its solid angle; a place, by its irradiance over π.
     per_ray = 4.0 * width * height / (len(ends) * far * far)
     of_eye = np.pi / per_ray * len(some) / max(len(seen), 1)
     return starts[some] + t[some, None] * d[some], facing, np.append(starts[0], of_eye)
 
 
 def _emitting(objects: ObjectTables, sources: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the facets and the media of some sources, (n,) EMITTING; which of them are in the field is left open."""
+    """Return the facets and media of some sources, (n,) EMITTING, without `in_field`."""
     found, facet = np.zeros(len(sources), EMITTING), sources["facet"]
     found["power"] = sources["power"]
     is_volume = facet <= FIRST_VOLUME
@@ -148,7 +147,7 @@ def _emitting(objects: ObjectTables, sources: NDArray[np.void]) -> NDArray[np.vo
 
 
 def _by_texture(objects: ObjectTables, sources: NDArray[np.void]) -> Array:
-    """Return about the power of emitting facets with their textures, W; inf for a facet outside the table of pieces."""
+    """Return the approximate power of textured emitting facets, W; inf for a facet outside the table of pieces."""
     emitters, facet = objects.emitters, sources["facet"]
     if not len(emitters.facet):
         return np.full(len(sources), np.inf)
@@ -156,12 +155,12 @@ def _by_texture(objects: ObjectTables, sources: NDArray[np.void]) -> Array:
     if len(emitters.nodes):
         leaves = emitters.nodes[emitters.nodes["right"] == 0]
         chance = np.repeat(leaves["power"], leaves["end"] - leaves["begin"])
-    # The pieces of a facet are of one size.
+    # The pieces of a facet have equal sizes.
     pieces = emitters.density * chance / 4.0 ** emitters.level[emitters.facet]
     share = np.bincount(emitters.facet, pieces, len(objects.facets))[facet] * _areas(objects)[facet]
     with np.errstate(divide="ignore", invalid="ignore"):
         whole = sources["power"] / share
-    # Those without a texture have all of their power; if each has one, the brightest is taken to be white.
+    # A facet without a texture has its whole power; if all have one, the brightest counts as white.
     return np.where(share > 0.0, share, 0.0) * np.min(whole[share > 0.0], initial=np.inf)
 
 
@@ -175,9 +174,9 @@ def _areas(objects: ObjectTables) -> Array:
 
 
 def _in_field(emitting: NDArray[np.void], facts: FirstOrder, frames: Array) -> NDArray[np.bool_]:
-    """Tell which of some points are in the field."""
+    """Return a mask of the emitters in the field."""
     x, y, z = frame.points(frames[OBJECT_FRAME, CAMERA_FRAME], emitting["middle"]).T
-    # The edges of the field are straight from the plane in focus on; nearer, a wider field does no harm.
+    # The edges of the field are straight beyond the focal plane; nearer, a wider field does no harm.
     far = facts.object_distance_mm if np.isfinite(facts.object_distance_mm) else FAR_FOCUS * abs(facts.efl_mm)
     planes = np.array([0.0, far, 2.0 * far])
     width, height = np.transpose([half_field_mm(-float(plane), facts) for plane in planes])
@@ -188,7 +187,7 @@ def _in_field(emitting: NDArray[np.void], facts: FirstOrder, frames: Array) -> N
 
 @kernel
 def _fill_from_lamps(lamps: Lamps, places: Array, normals: Array, light: Array) -> None:
-    """Fill in the irradiance that each lamp brings to some places, summed; no ray meets a lamp, nor sees it."""
+    """Sum the irradiance that each lamp brings to some places; no ray meets or sees a lamp."""
     for number in range(len(lamps.rows)):
         for i in range(len(places)):
             place = places[i, 0], places[i, 1], places[i, 2]
@@ -200,7 +199,7 @@ def _fill_from_lamps(lamps: Lamps, places: Array, normals: Array, light: Array) 
 
 @kernel
 def _fill_emitted(emitting: NDArray[np.void], places: Array, normals: Array, eye: Array, light: Array) -> None:
-    """Fill in the irradiance that each of what emits brings to places and, if it stands in the field, to the eye."""
+    """Sum the irradiance that each emitter brings to places and, if it stands in the field, to the eye."""
     for number in range(len(emitting)):
         own, whole = emitting[number], 0.0
         for i in range(len(places)):
@@ -213,13 +212,9 @@ def _fill_emitted(emitting: NDArray[np.void], places: Array, normals: Array, eye
 
 @inlined
 def _per_watt(own: Any, at: tuple[float, float, float], facing: tuple[float, float, float]) -> float:
-    """Return about the irradiance that what emits brings to a place, for each watt, 1/m².
+    """Return the approximate irradiance per watt that an emitter brings to a place, 1/m².
 
-    Parameters
-    ----------
-    own : EMITTING
-    at, facing : (3,) float
-        The place, mm, and its unit normal; 0: all light counts.
+    `facing` is the place's unit normal, or 0 if all light counts.
     """
     normal = own.normal
     vx, vy, vz = own.middle[0] - at[0], own.middle[1] - at[1], own.middle[2] - at[2]

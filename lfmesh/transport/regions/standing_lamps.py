@@ -1,8 +1,8 @@
-"""Lamps that stand on a surface, moved off it by more than rays are rounded by.
+"""Lamps that stand on a surface, moved off it by more than the rounding of rays.
 
-Light-emitting diodes stand on their board, and panels on their wall. To rounding such a lamp is on either side of the
-surface, which would hide it from a random part of the scene. A lamp is moved to the side onto which it shines. If it
-shines to both sides, or stands on glass, it is moved to the front, where the surface's normal points.
+Light-emitting diodes stand on their board, panels on their wall. Rounding may put such a lamp on either side of the
+surface, hidden from a random part of the scene. It is moved to the side that it lights or, if it lights both sides or
+stands on glass, along the surface's normal.
 """
 
 from collections.abc import Iterator
@@ -24,19 +24,19 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 CLEAR = 2.0
-"""Distance to which a lamp is moved off a surface, over that within which it stands on it."""
+"""Distance of a moved lamp from the surface, over the distance within which it stands on the surface."""
 
 PROBE = 16.0
-"""Distance at which rays start that look for a surface, in roundings of float32."""
+"""Distance from which probe rays start, in roundings of float32."""
 
 MOST_SURFACES = 3
-"""Largest number of surfaces off which one lamp is moved: those of a corner."""
+"""Largest number of surfaces to move a lamp off: those of a corner."""
 
 STEEP = 0.5
-"""Least cosine between a probe and the normal that it finds; of three axes one has 1/√3 or more."""
+"""Least cosine between a probe and the normal found; one of three axes has 1/√3 or more."""
 
 GRAZING = 2.0**-10
-"""Least difference of the sine of a lamp's reach and the cosine of its axis from which on it lights its surface."""
+"""Least excess of the sine of a lamp's reach over the cosine of its axis with which it lights its surface."""
 
 POINTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 """Points of a lamp that may stand on a surface, in its half axes."""
@@ -44,10 +44,10 @@ POINTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 
 STANDING = np.dtype(
     [
-        ("facet", "i8"),  # on which a lamp stands; −1: none
-        ("normal", "f8", (3,)),  # unit, of that
-        ("height", "f8"),  # mm, of the lamp over it
-        ("grain", "f8"),  # mm, largest such height
+        ("facet", "i8"),  # facet under a lamp; −1: none
+        ("normal", "f8", (3,)),  # unit normal of the facet
+        ("height", "f8"),  # mm, height of the lamp over it
+        ("grain", "f8"),  # mm, largest height of a standing lamp
     ]
 )
 """Surface on which a lamp stands."""
@@ -56,14 +56,14 @@ STANDING = np.dtype(
 def off_surfaces(
     scene: Scene, objects: ObjectTables, finder: Finder
 ) -> tuple[ObjectTables, tuple[MissedLightWarning, ...]]:  # fmt: skip
-    """Return tables whose lamps stand clear of all surfaces, and warnings about lamps that shine onto their own target.
+    """Return tables with lamps moved clear of all surfaces, and warnings about lamps that shine onto their own target.
 
     Parameters
     ----------
     scene : Scene
     objects : ObjectTables
     finder : Finder
-        Of object space.
+        Finder of object space.
     """
     lamps = objects.lamps
     if not lamps.rows["placed"].any() or not len(objects.facets):
@@ -82,7 +82,7 @@ def off_surfaces(
         to_back = (own["outer"] <= 1.0) & (along < 0.0) & ~on_glass
         off = CLEAR * found["grain"]
         rows["position"][lamp] += (np.where(to_back, -off, off) - found["height"])[:, None] * found["normal"]
-        # Of the angle beyond which nothing shines.
+        # Sine of the lamp's largest emission angle.
         sine = np.where(own["outer"] < 1.0, np.sqrt(own["outer"] * np.maximum(2.0 - own["outer"], 0.0)), 1.0)
         onto = (body >= 0) & ~on_glass & ((own["outer"] > 1.0) | (np.abs(along) < sine - GRAZING))
         shining += zip(lamp[onto].tolist(), body[onto].tolist(), off[onto].tolist(), strict=True)
@@ -94,7 +94,7 @@ def off_surfaces(
 
 
 def _named(scene: Scene, shining: list[tuple[int, int, float]]) -> Iterator[MissedLightWarning]:
-    """Name the first of the lamps that shine onto the target on which they stand, with the distance off it, mm."""
+    """Warn of the first lamp that shines onto the target under it, with its distance off the target, mm."""
     if shining:
         lamp, target, off = shining[0]
         others = len({number for number, _, _ in shining}) - 1
@@ -107,7 +107,7 @@ def _named(scene: Scene, shining: list[tuple[int, int, float]]) -> Iterator[Miss
 
 
 def _standing(objects: ObjectTables, finder: Finder, rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the surface on which each lamp stands, (lamps,) STANDING."""
+    """Return the surface under each lamp, (lamps,) STANDING."""
     standing = np.zeros(len(rows), STANDING)
     standing["facet"] = -1
     arms = rows["half"][:, :, None] * rows["across"]
@@ -123,7 +123,7 @@ def _standing(objects: ObjectTables, finder: Finder, rows: NDArray[np.void]) -> 
             along = normal @ probe
             height = (back - np.where(facet >= 0, t, 0.0)) * along
             grain = FLOAT32_GRAIN * (coordinates + _sizes(objects, facet))
-            # A lamp with a size stands on a surface if it lies in it.
+            # An extended lamp must lie in the surface.
             tilt = np.abs(np.einsum("ijk,ik->ij", arms, normal)).sum(axis=1)
             found = rows["placed"] & (standing["facet"] < 0) & (facet >= 0) & (np.abs(along) >= STEEP)
             found &= (np.abs(height) <= grain) & (tilt <= grain)
@@ -133,7 +133,7 @@ def _standing(objects: ObjectTables, finder: Finder, rows: NDArray[np.void]) -> 
 
 
 def _sizes(objects: ObjectTables, facet: Index) -> Array:
-    """Return the sizes of facets, mm, (n,); of round faces their radii. That of no facet, −1, is any."""
+    """Return the sizes of facets, mm, (n,), or the radii of round faces; arbitrary for no facet, −1."""
     sizes = objects.facets["size"][np.maximum(facet, 0)]
     if objects.rounds is not None:
         faces = objects.rounds.faces

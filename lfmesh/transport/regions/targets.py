@@ -1,8 +1,8 @@
 """Packets on targets: they gather light and are scattered, towards the camera and to other targets.
 
-In the adjoint method a packet on a target gathers the light that leaves the point towards it: emission, and scattered
-light by next-event estimation. In the forward method it sends a child aimed at the entrance pupil. In both it may be
-scattered to other targets. Scattering follows the target's model (`events/scattering.py`).
+An adjoint packet gathers the light leaving the point towards it: emission, and scattered light by next-event
+estimation. A forward packet sends a child aimed at the entrance pupil. Both may be scattered to other targets, by the
+target's model (`events/scattering.py`).
 """
 
 from typing import Any
@@ -61,13 +61,13 @@ from lfmesh.transport.tables.tables import LensAim, ObjectTables
 Array = NDArray[np.float64]
 
 FACETS = 1 << 32
-"""Number of the first facet's random numbers among those that a packet's key has for its children."""
+"""Offset, in a packet's key, of the first facet's random numbers."""
 
 KINDS = 8
-"""Number of kinds of packets, of which those of shadow packets to each kind of light come last."""
+"""Number of kinds of packets; shadow packets to each kind of light come last."""
 
 AIMED_CHILD = 1 << 20
-"""Number of the aimed child among a packet's children, larger than any number of events."""
+"""Offset of the aimed child among a packet's children, larger than any number of events."""
 
 
 @inlined
@@ -94,7 +94,7 @@ def meet_target(space: ObjectSpace, packet: Any, prim: int, x: float, y: float, 
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
         return
     if counts_not_yet(options, packet):
-        # It gathers nothing here, and only few such packets continue: roulette comes before the work of scattering.
+        # It gathers nothing here, and few such packets continue: play roulette before the work of scattering.
         weight = thinned(options.thinning.unturned_cutoff, flow.book, packet, weight, packet.key)
         if weight == 0.0:
             return
@@ -110,7 +110,7 @@ def meet_target(space: ObjectSpace, packet: Any, prim: int, x: float, y: float, 
         return
     flow.book[slot] += weight - scattered
     if packet.last == LEFT_LENS and not options.bounce and not options.adjoint:
-        # The lens reflected it back. Without bounces the adjoint method has no such paths, so they are left out here.
+        # The lens reflected it back. Without bounces the adjoint method lacks such paths, so they are omitted here.
         flow.book[ESCAPED] += scattered
         return
     count_event(packet)
@@ -121,9 +121,9 @@ def meet_target(space: ObjectSpace, packet: Any, prim: int, x: float, y: float, 
 def passes(objects: ObjectTables, packet: Any, prim: int, t: float, along: float) -> bool:
     """Tell whether a packet passes through a facet of a target that is not opaque.
 
-    The random number belongs to the packet, its kind and light, its event and the facet, and to the side of a round
-    face, which a packet may cross twice: asked again, the answer is the same. A packet and those that it sends to
-    lights share key and event, but must not share their luck.
+    The random number depends on the packet, its kind and light, its event, the facet, and the side of a round face,
+    which a packet may cross twice. A repeated query therefore gives the same answer. A packet and its shadow packets
+    share key and event, but pass independently.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def passes(objects: ObjectTables, packet: Any, prim: int, t: float, along: float
     prim : int
         Facet.
     t : float, mm
-        Distance at which the packet meets it.
+        Distance of the facet.
     along : float
         The facet's normal · the packet's direction.
     """
@@ -144,7 +144,7 @@ def passes(objects: ObjectTables, packet: Any, prim: int, t: float, along: float
 
 @inlined
 def _gather(space: ObjectSpace, packet: Any, point: Point, scatters: bool) -> None:
-    """Deposit the light that a target emits towards the packet, and ask lights whose light it scatters."""
+    """Deposit the light that a target emits towards the packet, and sample lights for the target to scatter."""
     options, flow, objects = space.options, space.flow, space.objects
     flow.book[REACHED] += packet.weight
     radiance = emitted_radiance(objects, packet, point, -packet.dx, -packet.dy, -packet.dz)
@@ -172,7 +172,7 @@ def scatter(space: ObjectSpace, packet: Any, point: Point, weight: float, scatte
     packet : PACKET
     point : Point
     weight : float
-        Weight that arrived, along the packet's direction.
+        Weight that arrives along the packet's direction.
     scattered : float
         Weight times the model's albedo.
     """
@@ -191,7 +191,7 @@ def scatter(space: ObjectSpace, packet: Any, point: Point, weight: float, scatte
     if options.aimed and not options.adjoint:
         to_camera = _aim_at_camera(space, packet, point, weight)
     if not options.bounce and (options.aimed or options.adjoint):
-        # Nothing but the camera can be met: all other light escapes.
+        # Only the camera can be met: all other light escapes.
         flow.book[ESCAPED] += scattered - to_camera
         return
     flow.book[SAMPLING_ADDED] += to_camera
@@ -202,7 +202,7 @@ def scatter(space: ObjectSpace, packet: Any, point: Point, weight: float, scatte
 def _bounce(
     options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, weight: float, scattered: float
 ) -> None:
-    """Queue the child whose direction the scattering model draws, if it survives roulette."""
+    """Queue a child in a direction drawn by the scattering model, if it survives roulette."""
     x, y, z = point.x, point.y, point.z
     incoming = packet.dx, packet.dy, packet.dz
     u, v = draw_two(options, packet, BOUNCE_U)
@@ -219,13 +219,13 @@ def _bounce(
         child.kind = SCATTERED
         child.density = density(objects.scattering, point, packet.colour, incoming, (dx, dy, dz))
         if options.adjoint:
-            # Of all that are drawn, roulette keeps few; see `lights.combine`.
+            # Roulette keeps only some of the samples; see `lights.combine`.
             child.density *= drawn / weight
 
 
 @inlined
 def _aim_at_camera(space: ObjectSpace, packet: Any, point: Point, weight: float) -> float:
-    """Queue the child that is aimed at the entrance pupil: BRDF · cos · dω of the weight. Return its weight."""
+    """Queue the child aimed at the entrance pupil, of weight · BRDF · cos · dω; return its weight."""
     _, flow, frames, objects, aim = space
     x, y, z = point.x, point.y, point.z
     incoming = packet.dx, packet.dy, packet.dz
@@ -251,8 +251,8 @@ def _aim_at_camera(space: ObjectSpace, packet: Any, point: Point, weight: float)
 def share_with_other(flow: Flow, frames: Array, aim: LensAim, packet: Any) -> None:
     """Weight a packet that goes from a target into glass by the balance heuristic (Veach & Guibas 1995).
 
-    Behind the glass the lens may appear where it is aimed at or, as the glass bends light, elsewhere. So both the aimed
-    child and the one drawn by the scattering model count, each weighted by its share of their densities.
+    Behind the glass, the lens may appear at the aim or, as glass bends light, elsewhere. So the aimed child and the one
+    drawn by the scattering model both count, by their shares of the densities.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Packets in media of object space: what they gather and lose on their way, and where they are scattered.
+"""Packets in media of object space: light gathered and lost on the way, and scattering.
 
-A packet that some light is taken from by scattering goes on with the rest, and a child starts from a random point of
-its way with what was scattered there. So the unscattered light has no noise of the medium.
+A packet that loses light to scattering continues with the rest; a child with the scattered light starts at a random
+point of the way. So the medium adds no noise to unscattered light.
 """
 
 from typing import Any, NamedTuple
@@ -54,24 +54,24 @@ from lfmesh.transport.tables.tables import OPAQUE, LensTables, ObjectTables
 Array = NDArray[np.float64]
 
 RETURNED = 10.0
-"""Forward, weight over that at the start to which roulette raises light that the lens sends back and a medium scatters.
-Each scattering point aims a packet at the lens, so that fog before the lens would else multiply packets without end."""
+"""Forward: relative weight to which roulette raises packets returned by the lens and scattered by a medium. Each
+scattering point aims a packet at the lens; fog before the lens would otherwise multiply packets without end."""
 
 COSINE, AZIMUTH, KEEP, DISK, TO_U, TO_V, RETURN = 3, 4, 5, 6, 7, 8, 9
-"""Dimensions of a scattering point's random numbers, after those of `events.volume`; `lights.combine` has the next."""
+"""Dimensions of a scattering point's random numbers, between those of `events.volume` and `lights.combine`."""
 
 
 class Met(NamedTuple):
-    """A facet that a packet meets.
+    """Facet that a packet meets.
 
     Attributes
     ----------
     prim : int
-        Of a target, glass or housing; −1: none.
+        Facet of a target, glass or housing; −1: none.
     t : float, mm
-        Its distance; inf if none.
+        Distance of the facet; inf if none.
     on_patch : bool
-        The distance is that of the facet's curved patch, or of a round face of glass.
+        The distance is to the facet's curved patch, or to a round face of glass.
     """
 
     prim: int
@@ -81,12 +81,12 @@ class Met(NamedTuple):
 
 @inlined
 def is_stopped_by_media(volumes: Any, space: ObjectSpace, lens: LensTables, packet: Any, met: Met) -> bool:
-    """Let a packet pass through the media where it is, up to what it meets; tell whether none of its light is left.
+    """Let a packet pass through the media up to its next hit; tell whether none of its light is left.
 
     Parameters
     ----------
     volumes : Volumes or None
-        None: there are no media, and numba compiles nothing but the first line.
+        None: there are no media, and numba compiles only the first line.
     space : ObjectSpace
     lens : LensTables
     packet : PACKET
@@ -103,7 +103,7 @@ def is_stopped_by_media(volumes: Any, space: ObjectSpace, lens: LensTables, pack
 
 @inlined
 def way_through_media(space: ObjectSpace, lens: LensTables, packet: Any, met: Met) -> float:
-    """Return the distance up to which a packet is in media, if there are any: of what it meets, or of the lens, mm.
+    """Return the length of a packet's way through media, up to its hit or the lens, mm.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def way_through_media(space: ObjectSpace, lens: LensTables, packet: Any, met: Me
 
 @inlined
 def _distance_to_glass(glass: Any, flow: Flow, objects: ObjectTables, packet: Any, prim: int, t: float) -> float:
-    """Return the distance of what a packet meets: for a curved face of glass that of the face, not of its facet."""
+    """Return the distance of a packet's hit, for curved glass that to the curved face instead of the facet."""
     if glass is None:
         return t
     body = objects.facets[max(prim, 0)].body
@@ -137,9 +137,9 @@ def _distance_to_glass(glass: Any, flow: Flow, objects: ObjectTables, packet: An
 
 @inlined
 def _way_to_lens(lens: LensTables, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
-    """Return the distance at which a ray, in the camera frame, meets the front of the lens; inf if it passes beside it.
+    """Return the distance along a camera-frame ray to the front of the lens; inf if it passes beside it.
 
-    Where the front is hollow, the medium reaches into the hollow, beyond the border of the lens's box.
+    At a concave front, the medium reaches into the hollow, beyond the border of the lens's box.
     """
     enters = box_entry(lens.box_low, lens.box_high, Ray(x, y, z, dx, dy, dz))
     if enters == np.inf or lens.convex_front:
@@ -155,14 +155,14 @@ def _way_to_lens(lens: LensTables, x: float, y: float, z: float, dx: float, dy: 
 
 @kernel
 def cross_media(space: ObjectSpace, packet: Any, reach: float) -> None:
-    """Let a packet pass through the media between its start and a distance: it gathers, is weakened, and scatters.
+    """Let a packet gather, lose and scatter light in the media between its start and a distance.
 
     Parameters
     ----------
     space : ObjectSpace
     packet : PACKET
     reach : float, mm
-        Where it meets something; inf if nothing.
+        Distance of the next hit; inf if none.
     """
     options, flow, frames, objects = space.options, space.flow, space.frames, space.objects
     volumes, colour, weight = objects.volumes, packet.colour, packet.weight
@@ -186,7 +186,7 @@ def cross_media(space: ObjectSpace, packet: Any, reach: float) -> None:
     if of_twin or of_other_class:
         flow.book[SAMPLING_REMOVED] += lost
         return
-    # From here on the record stands for the child; its own weight is put back at the end.
+    # From here on the record represents the child; the packet's own values are restored at the end.
     left, events, node, kind, last = packet.weight, packet.events, packet.node, packet.kind, packet.last
     facet, moves = packet.facet, packet.moves
     point = scattering_point(volumes, line, passage, key)
@@ -211,17 +211,17 @@ def cross_media(space: ObjectSpace, packet: Any, reach: float) -> None:
 def scatter_in_medium(
     space: ObjectSpace, packet: Any, number: int, place: tuple[float, float, float], key: np.uint64
 ) -> None:
-    """Scatter a packet's weight at a point of a medium: aim at the camera, and send a child anywhere.
+    """Scatter a packet's weight at a point of a medium: aim at the camera, and send a child in a random direction.
 
     Parameters
     ----------
     space : ObjectSpace
     packet : PACKET
     number : int
-        Of the medium.
+        Number of the medium.
     place : (3,) float, mm
     key : uint64
-        Of the random numbers.
+        Key of the random numbers.
     """
     flow, volumes = space.flow, space.objects.volumes
     packet.facet, packet.last = NO_SURFACE, NO_SURFACE
@@ -241,7 +241,7 @@ def scatter_in_medium(
 
 @kernel
 def send_from_medium(space: ObjectSpace, packet: Any, phase: Any, ray: Ray, key: np.uint64) -> None:
-    """Queue a child in a direction that the phase function drew and, forward, one that is aimed at the camera.
+    """Queue a child in a direction drawn by the phase function and, forward, another one aimed at the camera.
 
     Parameters
     ----------
@@ -249,9 +249,9 @@ def send_from_medium(space: ObjectSpace, packet: Any, phase: Any, ray: Ray, key:
     packet : PACKET
     phase : PHASE
     ray : Ray
-        Of the child.
+        Ray of the child.
     key : uint64
-        Of the random numbers.
+        Key of the random numbers.
     """
     options, flow = space.options, space.flow
     phases, weight = space.objects.volumes.phases, packet.weight
@@ -284,5 +284,5 @@ def send_from_medium(space: ObjectSpace, packet: Any, phase: Any, ray: Ray, key:
         child.facet = IN_FOG
     child.density = evaluate_phase(phases, phase, ix * dx + iy * dy + iz * dz)
     if options.adjoint:
-        # Of all that are drawn, roulette keeps few; see `lights.combine`.
+        # Roulette keeps only some of the samples; see `lights.combine`.
         child.density *= weight / kept

@@ -1,8 +1,8 @@
-"""Probe rays from the pixels through lens and glass: they tell in which directions points of object space see the lens.
+"""Probe rays from the pixels through lens and glass, to find the directions in which object space sees the lens.
 
-They take the image path through the camera, and at glass are reflected or refracted by chance. Where they meet a
-target, and at a random point of their way through a medium or past particles, light that is scattered back along them
-comes to the sensor.
+They take the image path through the camera; at glass, chance decides between reflection and refraction. Light scattered
+back along a probe reaches the sensor, from its hit on a target and from a random point on its way through a medium or
+past particles.
 """
 
 from typing import NamedTuple
@@ -42,16 +42,16 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 ON_ROUGH_GLASS, ON_TARGETS, FIRST_REGION = -2, -1, 0
-"""Of a sight: where it is. Media come first among the regions, then the entries of particles."""
+"""Places of sights. Regions are numbered with media first, then the entries of particles."""
 
 ROOM = 0.02
-"""By how much the box in which rays pass particles is larger than the particles', relative to its largest edge."""
+"""Enlargement of the box of particles within which rays pass them, relative to its largest edge."""
 
 MOST_FACES, PLANE_DECIMALS = 64, 4
-"""Flat faces that a body may have for its faces to be told apart, and decimals by which their planes are."""
+"""Largest number of flat faces to distinguish on a body, and the decimals that distinguish their planes."""
 
 MIX = np.uint64(0x9E3779B97F4A7C15)
-"""Odd number by which the events of a way are combined to one number."""
+"""Odd multiplier of the hash of a way's events."""
 
 
 class Sights(NamedTuple):
@@ -63,7 +63,7 @@ class Sights(NamedTuple):
     direction : (n, 3) float64, unit, camera frame
         Towards the lens.
     way : (n,) uint64
-        Tells apart the sequences of bodies at which the light is refracted and reflected; 0: straight to the lens.
+        Hash of the sequence of refracting and reflecting bodies; 0: straight to the lens.
     place : (n,) int64
         ON_TARGETS, ON_ROUGH_GLASS, or the number of the region.
     """
@@ -74,16 +74,16 @@ class Sights(NamedTuple):
     place: Numbers
 
     def some(self, which: NDArray[np.generic]) -> "Sights":
-        """Return some of them, given by numbers or a mask."""
+        """Return a selection, given by numbers or a mask."""
         return Sights(*(values[which] for values in self))
 
     def joined(self, other: "Sights") -> "Sights":
-        """Return these and others."""
+        """Return these sights followed by others."""
         return Sights(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
 class Region(NamedTuple):
-    """Box in which light starts or is scattered."""
+    """Box of a medium or of particles that emit or scatter light."""
 
     to_own: Array  # (3, 4) from the world frame
     low: Array  # (3,) mm
@@ -91,16 +91,16 @@ class Region(NamedTuple):
 
 
 class _Stretches(NamedTuple):
-    """Straight parts of the probes' ways."""
+    """Straight segments of the probes' ways."""
 
     start: Array  # (n, 3) mm, world frame
     end: Array
-    way: NDArray[np.uint64]  # of the light from there to the lens
+    way: NDArray[np.uint64]  # way of the light from there to the lens
     probe: Numbers
 
 
 def regions_of(world: World) -> list[Region]:
-    """Return boxes round all that sends light from within a volume: media, then entries of particles."""
+    """Return boxes round all media that emit or scatter light, then round the entries of particles."""
     objects, moves = world.tables.objects, world.tables.frames
     found = []
     if objects.volumes is not None:
@@ -113,21 +113,21 @@ def regions_of(world: World) -> list[Region]:
             found.append(Region(to_own, corners.min(axis=0), corners.max(axis=0)))
     for table in world.particles:
         low, high = table.points.min(axis=0), table.points.max(axis=0)
-        # Particles in a plane, or a single one, are passed by no ray.
+        # A box without volume, of a single particle or a plane of them, would be passed by no ray.
         room = ROOM * max(float((high - low).max()), float(np.linalg.norm(low)))
         found.append(Region(np.eye(3, 4), low - room, high + room))
     return found
 
 
 def probe(world: World, count: int, seed: int) -> Sights:
-    """Return what about as many probe rays as asked for tell.
+    """Return the sights found by about `count` probe rays.
 
     Parameters
     ----------
     world : World
     count : int
     seed : int
-        Of their random numbers.
+        Seed of their random numbers.
     """
     draw = np.random.default_rng(seed)
     colours = world.tables.lens.media.indices.shape[1]
@@ -179,7 +179,7 @@ def _before_lens(world: World, count: int, colour: int, draw: np.random.Generato
 
 
 def _traced(world: World, packets: NDArray[np.void], regions: list[Region], draw: np.random.Generator) -> Sights:
-    """Trace packets through object space; return what they tell, world frame."""
+    """Trace packets through object space; return their sights, world frame."""
     objects = world.tables.objects
     clear = objects._replace(volumes=None, media=without_absorption(objects.media))
     split = TRANSMIT if world.scene.transport.split == "transmit" else ROULETTE
@@ -250,11 +250,11 @@ def _sights(
 
 
 def _events(world: World, nodes: NDArray[np.void], glass: NDArray[np.bool_]) -> NDArray[np.uint64]:
-    """Return a number for the body, its face and the kind of each vertex on glass; 0 for others."""
+    """Return a number for body, face and kind of event of each vertex on glass; 0 for others."""
     face = np.zeros(len(nodes), np.int64)
     for body in np.unique(nodes["part"][glass]):
         if world.targets[body].round is not None:
-            # Its one bent face bends neighbouring ways alike.
+            # Its single curved face bends neighbouring ways alike.
             continue
         mine = np.flatnonzero(glass & (nodes["part"] == body))
         corners = world.targets[body].mesh.vertices[world.targets[body].mesh.faces]
@@ -270,7 +270,7 @@ def _events(world: World, nodes: NDArray[np.void], glass: NDArray[np.bool_]) -> 
 
 
 def _past_all_mm(world: World, regions: list[Region], places: Array) -> float:
-    """Return a distance from some places after which a way is past all regions, or far in one without bounds."""
+    """Return a distance from some places beyond all regions, or far into an unbounded one."""
     radius = world.tables.objects.outer_radius
     if np.isfinite(radius):
         return 4.0 * radius
@@ -283,17 +283,17 @@ def _past_all_mm(world: World, regions: list[Region], places: Array) -> float:
 
 
 def _within(stretches: _Stretches, region: Region, number: int, draw: np.random.Generator) -> Sights:
-    """Return a random point of each probe's way through a region."""
+    """Return a random point on each probe's way through a region."""
     start, end = frame.points(region.to_own, stretches.start), frame.points(region.to_own, stretches.end)
     step = end - start
     with np.errstate(divide="ignore", invalid="ignore"):
         one, other = (region.low - start) / step, (region.high - start) / step
-    # A way without length that begins on a bound's plane has no numbers, and no length within.
+    # A way of zero length on a plane of the box gives NaN, and no length inside.
     enters = np.fmax.reduce(np.minimum(one, other), axis=1).clip(0.0)
     leaves = np.fmin.reduce(np.maximum(one, other), axis=1).clip(max=1.0)
     length = (leaves - enters) * np.linalg.norm(step, axis=1)
     some = np.flatnonzero(length > 0.0)
-    # Of the stretches of a way one by its length: the first of random times with these rates.
+    # Draw one segment of each way by its length: the earliest of exponential times with these rates.
     order = some[np.argsort(-np.log1p(-draw.random(len(some))) / length[some])]
     _, chosen = np.unique(stretches.probe[order], return_index=True)
     chosen = order[chosen]

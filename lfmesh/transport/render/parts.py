@@ -1,13 +1,13 @@
 """Split an image into classes of paths that are estimated independently.
 
-Paths with reflections carry a few per cent of the light and cost ten times as much as the image path. So the adjoint
-method estimates the two independently and adds them: the image path with the sequential engine, and all other paths,
-for which fewer samples are enough, with the mesh engine. Most of those are ghosts of two reflections; where they can be
-followed by their sequences of surfaces (`sequences.ghosts`), they are a part of their own. How many fewer samples,
-`allocation` measures. If the scene has lamps and glass, light of lamps through glass is a further part, traced forward;
-so is, in both methods, light of lamps on a camera with rough surfaces. `paths.automaton` defines the classes; each path
-belongs to one of them and counts once. Particles are points, which no ray from the sensor meets: in both methods each
-entry of them is a part, traced forward.
+Paths with reflections carry a few per cent of the light and cost ten times as much as the image path. The adjoint
+method therefore adds two estimates: the image path by the sequential engine, and all other paths, with fewer samples,
+by the mesh engine. `allocation` measures how many fewer. Most other paths are ghosts of two reflections. They form a
+part of their own if they can be followed by their sequences of surfaces (`sequences.ghosts`).
+
+Further parts are traced forward: in the adjoint method, light of lamps through glass; in both methods, light of lamps
+on a camera with rough surfaces, and each entry of particles, points that no ray from the sensor meets.
+`paths.automaton` defines the classes; each path belongs to one of them and counts once.
 """
 
 from copy import copy
@@ -41,32 +41,32 @@ from lfmesh.transport.tables.tables import ObjectTables, Tables
 from lfmesh.transport.world import World
 
 IMAGE_PATHS_PER_STRAY, WITH_GLASS = 4, 2
-"""Number of samples of the image path for each sample of the paths off it: without glass in object space, and with it,
-where reflections are part of the picture."""
+"""Samples of the image path per sample of the paths off it: without glass in object space, and with glass, whose
+reflections are part of the picture."""
 
 IMAGE_PATHS_PER_OTHER_STRAY, IMAGE_PATHS_PER_GHOST = 64, 8
-"""The same, without glass, where ghosts are a part of their own: for each other stray, and each ghost."""
+"""The same, without glass, if ghosts are a part of their own: per other stray, and per ghost."""
 
 CUTOFF_OVER_SAMPLES, LEAST_CUTOFF, IN_SINGLE_ELEMENT = 10.0, 1.0 / 100.0, 1.0 / 30.0
-"""Weight below which other strays play roulette, over `weight_cutoff`: this over the samples of the image path in a
-replicate, 1 at most, and the least of it. The more samples the image path has, the further its few strays are followed:
-a tenth of the cutoff costs 2.5 times the time and leaves a twelfth of the variance.
+"""Weight below which other strays play roulette, over `weight_cutoff`: the first number over the samples of the image
+path in a replicate, between the second number and 1. The more samples the image path has, the further its few strays
+are followed: a tenth of the cutoff costs 2.5 times the time and leaves a twelfth of the variance.
 
-In a lens of two surfaces only one child of a packet stays in the lens, so that a path does not branch, and costs little
-however far it is followed; where total reflection leads it to a dark corner, each packet that roulette makes heavier is
-seen: there it is at most the last of these."""
+The third number is an upper limit for a lens of two surfaces. There, only one child of a packet stays in the lens, so a
+path does not branch and costs little. In a dark corner lit by total reflection, packets made heavier by roulette would
+be visible."""
 
 SCATTERED_PER_FOLLOWED = 25.0
-"""Without glass in object space: number of scattered paths, not yet off the image path, for each one that is followed.
-The reflection of such a path at a lens surface, some 4 %, then has about the weight of other children."""
+"""Without glass in object space: scattered paths, not yet off the image path, per path followed. The reflection of such
+a path at a lens surface, some 4 %, then has about the weight of other children."""
 
 OWN_BOOK, LAMP_BOOK, BOOKS = 0, 1, 2
-"""Rows of a run's books: the method's own packets; and those of other parts that start at particles or lamps, in W."""
+"""Rows of a run's books: the method's own packets, and packets of other parts, from particles or lamps, in W."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A class of paths with the settings by which it is traced.
+    """Class of paths, with the settings for tracing it.
 
     Attributes
     ----------
@@ -76,14 +76,14 @@ class Part:
         `adjoint` tells whether it is traced from pixels or, forward, from lamps.
     tables : Tables
     thinned : int
-        The part takes one of this number of samples. A part that is traced forward starts as many packets as it would
-        take samples of all pixels.
+        The part takes one in this number of samples. A forward part starts as many packets as it would take samples of
+        all pixels.
     accounts : bool
-        The part's book accounts for all energy; from the other parts' books only `REACHED` and `LIT` are added.
+        The part's book accounts for all energy; other parts' books contribute only `REACHED` and `LIT`.
     book : int
-        Row of the run's books that the part's book is added to.
+        Row of the run's books that receives the part's book.
     particles : ParticleTables, optional
-        What its packets start from, in place of lamps and emitting targets.
+        Start of its packets, in place of lamps and emitting targets.
     """
 
     number: int
@@ -95,13 +95,13 @@ class Part:
     particles: ParticleTables | None = None
 
     def packets(self, pixels: int, of_image: int, replicates: int) -> int:
-        """Return the packets that a replicate of a part that is traced forward starts in each channel.
+        """Return the number of packets per channel that a forward part starts in a replicate.
 
         Parameters
         ----------
         pixels : int
         of_image : int
-            Samples of a pixel in a replicate of the image.
+            Samples per pixel in a replicate of the image.
         replicates : int
         """
         if self.particles is None:
@@ -109,15 +109,15 @@ class Part:
         return len(self.particles.points) * self.per_particle(replicates)
 
     def per_particle(self, replicates: int) -> int:
-        """Return the packets of each of its particles in one of the replicates, in each channel."""
+        """Return the number of packets per particle and channel in a replicate."""
         return 1 if self.particles is None else max(1, self.particles.samples // replicates)
 
     def samples(self, of_image: int) -> int:
-        """Return the part's samples of a pixel, at least one, when the image has `of_image` samples."""
+        """Return the part's samples per pixel, at least one, if the image has `of_image`."""
         return max(1, of_image // self.thinned)
 
     def draws(self, pixels: int, of_image: int, replicates: int) -> int:
-        """Return how often a replicate draws what may bring light to a pixel: samples of it, or packets of all.
+        """Return the draws per replicate that may bring light to a pixel: its samples, or all packets.
 
         Parameters
         ----------
@@ -128,11 +128,11 @@ class Part:
 
     @property
     def from_lamps(self) -> bool:
-        """True if its packets come from particles or lamps and are not the method's own."""
+        """True if its packets come from particles or lamps, apart from the method's own."""
         return self.book == LAMP_BOOK
 
     def by_meshes(self) -> "Part":
-        """Return the same part with all surfaces of lens and array found by Embree, except along the image path."""
+        """Return the part with all surfaces of lens and array found by Embree, except along the image path."""
         if self.options.faces == BY_ORDER:
             return self
         return replace(self, options=self.options._replace(faces=BY_MESH))
@@ -163,7 +163,7 @@ def parts_of(world: World, *, aimed: bool = True, by_meshes: bool = False) -> tu
 
 
 def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
-    """Return the parts of an image; `ghosts`: with ghosts by themselves, where that can be."""
+    """Return the parts of an image; `ghosts` allows a separate part for ghosts."""
     options, tables = options_of(world, aimed=aimed), world.aimed_tables
     forward = not options.adjoint or bool(world.particles) or aimed_at_glass(tables.objects) is not None
     through = glass_aim(world)[0] if aimed and forward else None
@@ -171,7 +171,7 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
         refuse_unaimed(world)
     particles = particle_parts(world, through)
     if particles and not (len(tables.objects.lamps.rows) or tables.objects.radiance.any() or world.scene.media):
-        # Nothing else shines, so no packet need start anywhere else.
+        # Nothing else shines, so packets need not start anywhere else.
         return particles
     lamps = lamp_parts(world, through) if options.adjoint else ()
     lamps = (*lamps, *camera_parts(world, through), *particles)
@@ -208,25 +208,18 @@ def _off_image_path(options: Options, world: World) -> Options:
     """Return the options of the part that estimates paths off the image path."""
     options = options._replace(paths=OFF_IMAGE_PATH)
     if options.thinning.split == BOTH and not has_glass(world):
-        # Few scattered paths reach the lens, where alone they could leave the image path.
+        # Scattered paths can leave the image path only in the lens, and few reach it.
         return with_thinning(options, unturned_cutoff=SCATTERED_PER_FOLLOWED * options.thinning.cutoff)
     return options
 
 
 def _aimed_through(tables: Tables, through: GlassAim | None) -> Tables:
-    """Return tables with which light from inside glass and liquids is aimed at the lens."""
+    """Return tables that aim light from inside glass and liquids at the lens."""
     return tables._replace(aim=tables.aim._replace(entrance=tables.aim.entrance._replace(glass=through)))
 
 
 def lamp_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
-    """Return the part of an adjoint image that is traced from lamps, or nothing if the scene has no such light.
-
-    Parameters
-    ----------
-    world : World
-    through : GlassAim or None
-        See `glass_aim`.
-    """
+    """Return the part of an adjoint image traced from lamps, if there is such light; `through` is from `glass_aim`."""
     objects = aimed_at_glass(world.tables.objects)
     if objects is None:
         return ()
@@ -234,13 +227,9 @@ def lamp_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
 
 
 def camera_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
-    """Return the part of an image for light of lamps that rough surfaces of the camera scatter first, if there is any.
+    """Return the part of an image for lamp light scattered first by rough surfaces of the camera, if there is any.
 
-    Parameters
-    ----------
-    world : World
-    through : GlassAim or None
-        See `glass_aim`.
+    `through` is from `glass_aim`.
     """
     if not world.scene.rough_in_camera():
         return ()
@@ -251,28 +240,22 @@ def camera_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
 
 
 def _from_lamps(number: int, world: World, objects: ObjectTables, through: GlassAim | None, paths: int) -> Part:
-    """Return a part that is traced forward from lamps, with tables that say where they are aimed."""
+    """Return a part traced forward from lamps, with tables that hold their aim."""
     options = options_of(world)._replace(adjoint=False, importance=False, paths=paths)
     tables = _aimed_through(world.aimed_tables._replace(objects=objects), through)
     return Part(number, options, tables, book=LAMP_BOOK)
 
 
 def adds_particles(world: World) -> bool:
-    """Tell whether the light of particles is added to the image, for diffraction makes waves of it."""
+    """Tell whether the light of particles is added to the image as waves, because of diffraction."""
     return bool(world.particles) and world.scene.transport.diffraction != "none"
 
 
 def particle_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
-    """Return the parts of an image that are traced from particles.
+    """Return the parts of an image traced from particles; `through` is from `glass_aim`.
 
-    Targets hide particles. As no packet goes from particles to targets on purpose, those that fall there by chance are
-    not followed: the tables of these parts have black targets. With diffraction there are none, see `adds_particles`.
-
-    Parameters
-    ----------
-    world : World
-    through : GlassAim or None
-        See `glass_aim`.
+    Targets hide particles. They are black in these parts, since packets from particles reach them only by chance. With
+    diffraction there are no such parts, see `adds_particles`.
     """
     if not world.particles or adds_particles(world):
         return ()
@@ -291,8 +274,8 @@ def particle_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
 def blind_part(world: World) -> Part:
     """Return a part that estimates all paths in another way, to check the other parts.
 
-    The adjoint method is checked by rays that are not aimed. A forward image is checked by paths from the pixels, which
-    bring light many times as often as packets that are not aimed, and have none of the forward method's limits.
+    Unaimed rays check the adjoint method. Paths from the pixels check a forward image: they bring light far more often
+    than unaimed packets, and lack the limits of the forward method.
     """
     if world.scene.transport.method == "forward":
         adjoint = copy(world)
@@ -304,15 +287,15 @@ def blind_part(world: World) -> Part:
 
 
 def finds_all(world: World) -> bool:
-    """Tell whether the blind part finds all light that it is compared with.
+    """Tell whether the blind part finds all light that it checks.
 
-    Paths from the pixels that check a forward image do not find light of lamps through glass.
+    Paths from the pixels, which check a forward image, miss light of lamps through glass.
     """
     return world.scene.transport.method == "adjoint" or aimed_at_glass(world.tables.objects) is None
 
 
 def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:
-    """Describe the engine of an image, the reason, and a part that is traced from lamps."""
+    """Describe the engine of an image, the reason, and its parts for ghosts, lamps and particles."""
     words = ": ".join(engine_of(scene))
     if any(part.options.paths == GHOSTS for part in parts):
         words += ", ghosts by sequence"

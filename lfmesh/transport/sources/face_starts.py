@@ -1,6 +1,6 @@
-"""Rays that start on a face: they are taken to come from just before it, and so meet it.
+"""Rays that start on a face, set back slightly so that they meet it.
 
-A point on a face is on neither side of it. Which medium a ray starts in would follow from rounding alone.
+A point on a face is on neither side of it; rounding alone would decide the ray's first medium.
 """
 
 import numpy as np
@@ -13,29 +13,29 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 
 ON_FACE = 2.0**-45
-"""Distance of a point from a face that it is on, relative to its coordinates: some roundings of float64."""
+"""Distance within which a point lies on a face, relative to its coordinates: some roundings of float64."""
 
 BACK = 4.0
-"""So many times this is a ray set back."""
+"""Distance by which a ray is set back, in units of the distance above."""
 
 MOST_AT_ONCE = 1 << 22
-"""Pairs of points and facets that are compared at a time, to bound the memory."""
+"""Pairs of points and facets compared at a time, to bound the memory."""
 
 
 def before_faces(world: World, p: Array, d: Array) -> Array:
-    """Return the starts of rays, those that lie on a face of lens or glass set back along the ray by a few roundings.
+    """Return the starts of rays, with any on a face of lens or glass set back along the ray by a few roundings.
 
     Parameters
     ----------
     world : World
     p : (n, 3) float64, mm, world frame
     d : (n, 3) float64
-        Of any length but 0.
+        Directions, of any length but 0.
 
     Returns
     -------
     (n, 3) float64
-        `p` itself if none is.
+        `p` itself if no start lies on a face.
     """
     to_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
     low, high = world.tables.lens.box_low[2], world.tables.lens.box_high[2]
@@ -54,12 +54,12 @@ def before_faces(world: World, p: Array, d: Array) -> Array:
 
 
 def _grain(points: Array, hair: float) -> Array:
-    """Return how near to a face points (n, 3) have to be to lie on it, mm."""
+    """Return the distance within which points (n, 3) lie on a face, mm."""
     return np.asarray(ON_FACE * np.abs(points).sum(axis=1) + hair)
 
 
 def _on_lens(world: World, points: Array) -> Array:
-    """Tell which points (n, 3), camera frame, lie on a surface of the lens."""
+    """Return a mask of camera-frame points (n, 3) on a surface of the lens."""
     shape, on = world.lens_shape, np.zeros(len(points), bool)
     grain = _grain(points, ON_FACE * max(shape.rims))
     for surface, rim in zip(shape.surfaces, shape.rims, strict=True):
@@ -71,7 +71,7 @@ def _on_lens(world: World, points: Array) -> Array:
 
 
 def _on_glass(world: World, points: Array) -> Array:
-    """Return the numbers of the points (n, 3), world frame, that lie on the surface of a body of glass."""
+    """Return the numbers of world-frame points (n, 3) on the surface of a body of glass."""
     found = [np.zeros(0, np.int64)]
     for body in np.flatnonzero(world.tables.objects.rank):
         target = world.targets[body]
@@ -97,7 +97,7 @@ def _on_glass(world: World, points: Array) -> Array:
 
 
 def _on_facets(places: Array, corners: Array, normals: Array, hair: float) -> Array:
-    """Tell which points (n, 3) lie on one of a number of facets (m, 3, 3)."""
+    """Return a mask of points (n, 3) on any of the facets (m, 3, 3)."""
     height = places @ normals.T - np.einsum("mi,mi->m", corners[:, 0], normals)
     grain = _grain(places, hair)
     point, facet = np.nonzero(np.abs(height) <= grain[:, None])

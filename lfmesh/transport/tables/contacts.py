@@ -1,6 +1,6 @@
 """Contacts between bodies of glass: pairs of facets of different bodies that may lie on each other.
 
-A ray that crosses such a pair passes from one body directly into the other, without air between them.
+A ray through such a pair passes directly from one body into the other, without air between.
 """
 
 from typing import NamedTuple
@@ -13,23 +13,23 @@ from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, facet_normals
 Index = NDArray[np.int64]
 
 CUT = 1e-5
-"""Depth by which surfaces in contact may cut into each other or stand apart, relative to the smaller body's size: the
-error of float32 files and of coincident faces. Bodies that cut deeper overlap."""
+"""Largest overlap or gap of surfaces in contact, relative to the smaller body's size: the error of float32 files and of
+coincident faces. Bodies that cut deeper overlap."""
 
 LEAST_COSINE = 0.9
-"""Least cosine between the normals of facets in contact; those of curved surfaces differ a little."""
+"""Least cosine between the normals of facets in contact; on curved surfaces they differ slightly."""
 
 MOST_AT_ONCE = 1 << 22
-"""Pairs of facets that are compared at a time, to bound the memory."""
+"""Pairs of facets compared at a time, to bound the memory."""
 
 
 def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_], facets: int) -> tuple[Index, Index, float]:
-    """Return the facets that may be in contact with each facet, and the distance within which they are.
+    """Return the possible contact partners of each facet, and the distance that counts as contact.
 
     Parameters
     ----------
     meshes : list of Mesh
-        Meshes of all targets; facets are numbered through, one mesh after the other.
+        Meshes of all targets; facets are numbered consecutively, mesh by mesh.
     is_glass : (targets,) bool
     facets : int
         Number of facets in object space.
@@ -37,13 +37,13 @@ def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_], facets: int) -> tu
     Returns
     -------
     first : (facets + 1,) int64
-        Index in `partners` at which each facet's partners begin; (0,) where no two bodies touch.
+        Start of each facet's partners in `partners`; (0,) if no two bodies touch.
     partners : (n,) int64
         Facet numbers.
     near_mm : float
     """
     none = np.zeros(0, np.int64)
-    # Round bodies have no mesh: where they lie on others, they are refused.
+    # Round bodies have no mesh; those that lie on others are refused.
     glass = np.array([i for i in np.flatnonzero(is_glass) if len(meshes[i].faces)], np.int64)
     if len(glass) < 2:
         return none, none, 0.0
@@ -64,20 +64,20 @@ def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_], facets: int) -> tu
 
 
 def touching_mm(bodies: list[Mesh]) -> float:
-    """Return the distance within which facets of bodies of glass are taken to touch, mm."""
+    """Return the distance within which facets of glass bodies count as touching, mm."""
     return CUT * min(float(np.ptp(mesh.vertices, axis=0).max()) for mesh in bodies)
 
 
 def common_area(one: Mesh, other: Mesh, near: float) -> Array | None:
-    """Return a point where facets of two meshes lie on each other; None where they do not.
+    """Return a point where facets of two meshes lie on each other; None if none do.
 
-    They share an area of their planes: facets side by side in one plane, or that meet along an edge, do not count.
+    They must share an area of their planes: facets side by side or joined at an edge do not count.
 
     Parameters
     ----------
     one, other : Mesh
     near : float, mm
-        How far apart facets may be that lie on each other, and how wide what they share must be.
+        Largest distance between the facets, and least width of the shared area.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def common_area(one: Mesh, other: Mesh, near: float) -> Array | None:
 
 
 def widest_contact_mm(one: Mesh, other: Mesh, near: float) -> float | None:
-    """Return how far apart facets are at most that lie on each other, mm; None where none do.
+    """Return the largest distance between facets that lie on each other, mm; None if none do.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def widest_contact_mm(one: Mesh, other: Mesh, near: float) -> float | None:
 
 
 def _lying_on_each_other(one: Mesh, other: Mesh, near: float) -> tuple[Array, Array]:
-    """Return the corners (n, 3, 3) of the facets of two meshes that share an area of their planes, pair by pair."""
+    """Return the corners (n, 3, 3) of pairs of facets, one from each mesh, that share an area of their planes."""
     pairs = _pairs(one, other, near)
     first, second = one.vertices[one.faces[pairs[:, 0]]], other.vertices[other.faces[pairs[:, 1]]]
     normals = facet_normals(one)[0][pairs[:, 0]], facet_normals(other)[0][pairs[:, 1]]
@@ -122,19 +122,19 @@ def _lying_on_each_other(one: Mesh, other: Mesh, near: float) -> tuple[Array, Ar
 
 
 def _lies_in(facets: Array, point: Array, normal: Array, near: float) -> NDArray[np.bool_]:
-    """Tell which facets, (n, 3, 3), lie in a plane each."""
+    """Return a mask of facets, (n, 3, 3), that each lie in a given plane."""
     away = np.einsum("nij,nj->ni", facets - point[:, None], normal)
     return np.asarray((np.abs(away) <= near).all(axis=1))
 
 
 def _middle_of_both(one: Array, other: Array) -> Array:
-    """Return the middle of the box that the boxes round two facets share."""
+    """Return the middle of the intersection of two facets' bounding boxes."""
     low = np.maximum(one.min(axis=0), other.min(axis=0))
     return np.asarray(0.5 * (low + np.minimum(one.max(axis=0), other.max(axis=0))))
 
 
 def _pairs(one: Mesh, other: Mesh, near: float) -> Index:
-    """Return (n, 2) facets of two meshes whose boxes come near each other and whose normals lie along one line."""
+    """Return (n, 2) facets of two meshes with boxes near each other and nearly parallel or opposite normals."""
     if not boxes_meet(one, other, near):
         return np.zeros((0, 2), np.int64)
     boxes = [_boxes(mesh) for mesh in (one, other)]
@@ -161,7 +161,7 @@ def _pairs(one: Mesh, other: Mesh, near: float) -> Index:
 
 
 class _Boxes(NamedTuple):
-    """Bounding boxes of facets, with their normals and their numbers."""
+    """Bounding boxes, normals and numbers of facets."""
 
     low: Array
     high: Array

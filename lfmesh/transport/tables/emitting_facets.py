@@ -1,10 +1,10 @@
-"""Emitting facets as light sources of the adjoint method: pieces of them, each drawn by its power.
+"""Emitting facets as light sources of the adjoint method, in pieces that are drawn by their power.
 
-A facet is divided into 4ⁿ equal triangles, its pieces, so that those of a textured facet follow the texture. They are
-numbered as Basu & Owen's triangular van der Corput points (SIAM J. Numer. Anal. 53, 743, 2015): of the four triangles
-that the midpoints of the edges make, the base-4 digit 0 is the middle one and 1 + k that at corner k. Neighbours in
-number are neighbours in place, so evenly spread random numbers give evenly spread points. The pieces of a round face
-are squares of its parameters, numbered along Morton's curve.
+A facet is divided into 4ⁿ equal triangles, its pieces, to resolve its texture. They are numbered as Basu & Owen's
+triangular van der Corput points (SIAM J. Numer. Anal. 53, 743, 2015): of the four triangles made by the midpoints of
+the edges, the middle one has the base-4 digit 0 and the one at corner k has 1 + k. Close numbers mean close places, so
+evenly spread random numbers give evenly spread points. The pieces of a round face are squares of its parameters,
+numbered along Morton's curve.
 """
 
 import numpy as np
@@ -18,32 +18,26 @@ from lfmesh.transport.tables.scattering import mean_emission
 from lfmesh.transport.tables.tables import Emitters, ObjectTables
 
 MOST_PIECES = 1 << 14
-"""Textured facets are not divided further than this number of pieces in all: the table then stays in the cache."""
+"""Largest total number of pieces of textured facets; the table then stays in the cache."""
 
 TEXELS_ACROSS = 4
-"""Number of texels along the edge of a piece, below which it is not divided further."""
+"""Number of texels along the edge of a piece below which it is not divided further."""
 
 GRID = 9
-"""Number of points along each side of a piece of a round face, between which its bounds are found."""
+"""Number of points along each side of a round face's piece from which its bounds are found."""
 
 BETWEEN = 0.1
-"""By how much those bounds are wider than the points tell: of sizes and angles."""
+"""Relative enlargement of those bounds, in size and angle."""
 
 MOST_PLACES = 1 << 20
-"""Largest number of places in a texture that are looked up at once."""
+"""Largest number of texture look-ups at a time."""
 
 PROBES = 2
-"""The mean of the texture over a piece is taken over the middles of the 4ⁿ triangles that it divides into."""
+"""Further divisions n of a piece: the mean of its texture is taken over the centres of the 4ⁿ parts."""
 
 
 def emitter_table(objects: ObjectTables) -> Emitters:
-    """Return the table of facets that emit light; an empty one if there are none.
-
-    Parameters
-    ----------
-    objects : ObjectTables
-        All but `emitters` is read.
-    """
+    """Return the table of emitting facets, empty if there are none; `objects.emitters` is not read."""
     facets = objects.facets
     emissions = mean_emissions(objects).mean(axis=2)
     if not emissions.any():
@@ -82,7 +76,7 @@ def _all_places(level: NDArray[np.int64], triangles: NDArray[np.bool_]) -> Array
 
 
 def _in_leaves(share: Array, nodes: NDArray[np.void]) -> tuple[Array, Array]:
-    """Return the cumulative chance of pieces within the leaves of their tree, and the chance of each, (n,)."""
+    """Return the cumulative probability of pieces within their leaf, and the probability of each, (n,)."""
     if not len(nodes):
         return np.cumsum(share), share
     leaves = nodes[nodes["right"] == 0]
@@ -99,17 +93,9 @@ def _in_leaves(share: Array, nodes: NDArray[np.void]) -> tuple[Array, Array]:
 def _tree(
     objects: ObjectTables, facet: NDArray[np.int64], place: Array, share: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.void]]:  # fmt: skip
-    """Return the order of pieces in the leaves of their tree, (n,), and its nodes; none where facets are few.
+    """Return the order of pieces in the leaves of their tree, (n,), and its nodes, empty if facets are few.
 
-    Parameters
-    ----------
-    objects : ObjectTables
-    facet : (n,) int64
-        Of each piece.
-    place : (n, 3) float64
-        See `Emitters`.
-    share : (n,) float64
-        Of the power.
+    Each piece has a facet, a place (see `Emitters`) and a share of the power.
     """
     if len(np.unique(facet)) <= FEW:
         return np.arange(len(facet)), np.zeros(0, EMITTER_NODE)
@@ -129,7 +115,7 @@ def _tree(
 
 @kernel
 def _bound_round(rounds: RoundFaces, facet: NDArray[np.int64], place: Array, bounds: Bounds) -> None:
-    """Enter the bounds of the pieces of round faces, from points on a grid, and a little more for those between."""
+    """Enter the bounds of the pieces of round faces, from points on a grid, enlarged for the space between."""
     for piece in range(len(facet)):
         if facet[piece] < rounds.first:
             continue
@@ -162,14 +148,10 @@ def _bound_round(rounds: RoundFaces, facet: NDArray[np.int64], place: Array, bou
 
 
 def mean_emissions(objects: ObjectTables) -> Array:
-    """Return the mean radiance over all directions of each target, its sides added, (targets, 2, wavelengths).
+    """Return each target's radiance averaged over directions and summed over its sides, (targets, 2, wavelengths).
 
-    The first of the two is that where the texture is 0; the second is what a texture of 1 adds. In several media each
-    is the largest in any of them.
-
-    Parameters
-    ----------
-    objects : ObjectTables
+    The two values are the radiance at texture 0 and the amount that a texture of 1 adds, each the largest over the
+    media at the target.
     """
     means = np.zeros((len(objects.radiance), 2, objects.radiance.shape[1]))
     behind = objects.scattering.models["behind"]
@@ -183,13 +165,13 @@ def mean_emissions(objects: ObjectTables) -> Array:
 
 
 def no_emitters() -> Emitters:
-    """Return the table of a scene in which no target emits."""
+    """Return the table of a scene without emitting targets."""
     none, empty = np.zeros(0, np.int64), np.zeros(0)
     return Emitters(none, empty, np.zeros(0, EMITTER_NODE), np.zeros((0, 3)), empty, none, none, none)
 
 
 def _levels(objects: ObjectTables, bright: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return how often each of some facets is divided, (n,)."""
+    """Return the number of divisions of each of some facets, (n,)."""
     texture = objects.texture[objects.facets["body"][bright]]
     texels = objects.uv[bright] * texture[:, None, :0:-1]
     across = np.linalg.norm(texels - np.roll(texels, 1, axis=1), axis=2).max(axis=1)
@@ -215,7 +197,7 @@ def corner_weights(level: int) -> Array:
 
 
 def square_corners(level: int) -> Array:
-    """Return the lower left corners of the squares that a square from 0 to 1 is divided into, (4**level, 2)."""
+    """Return the lower left corners, (4**level, 2), of the pieces of the unit square."""
     corners, size = np.zeros((1, 2)), 1.0
     for _ in range(level):
         size *= 0.5
@@ -237,7 +219,7 @@ def _first_round(objects: ObjectTables) -> int:
 
 
 def _in_texture(objects: ObjectTables, facets: NDArray[np.int64], level: int) -> Array:
-    """Return the places in the texture of the middles of the pieces of facets, or of round faces, (n, 4**level, 2)."""
+    """Return the texture coordinates of the centres of the pieces of facets, or of round faces, (n, 4**level, 2)."""
     first = _first_round(objects)
     if facets[0] < first:
         return np.einsum("kc,ncd->nkd", corner_weights(level).mean(axis=1), objects.uv[facets])
@@ -246,7 +228,7 @@ def _in_texture(objects: ObjectTables, facets: NDArray[np.int64], level: int) ->
 
 
 def _texture_means(objects: ObjectTables, bright: NDArray[np.int64], level: NDArray[np.int64]) -> Array:
-    """Return the mean of the texture over each piece, and over the wavelengths; 1 without a texture."""
+    """Return the mean of the texture over each piece and over the wavelengths; 1 without a texture."""
     texture = objects.texture[objects.facets["body"][bright]]
     count = 4**level
     means = np.ones(int(count.sum()))
@@ -266,7 +248,7 @@ def _texture_means(objects: ObjectTables, bright: NDArray[np.int64], level: NDAr
 
 
 def _between_texels(picture: Array, places: Array) -> Array:
-    """Return the values of a picture, (height, width), at places in it, (..., 2): bilinear and clamped, as rays do."""
+    """Return a picture's values, (height, width), at places (..., 2) in it, bilinear and clamped as for rays."""
     height, width = picture.shape
     column = np.clip(places[..., 0] * width - 0.5, 0.0, width - 1.0)
     row = np.clip((1.0 - places[..., 1]) * height - 0.5, 0.0, height - 1.0)

@@ -1,4 +1,4 @@
-"""Sources of forward packets: lamps, emitting facets and media, and the sphere that lamps are aimed at."""
+"""Sources of forward packets: lamps, emitting facets and media, and the sphere at which lamps are aimed."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, OPAQUE, ROUGH, SOU
 from lfmesh.transport.tables.volumes import Volumes
 
 Entry = tuple[int, int, float, float]
-"""Light (or −1), facet (or −1), power towards the sphere that is aimed at, whole power, W."""
+"""Light (or −1), facet (or −1), power towards the sphere aimed at, whole power, W."""
 
 
 def sources_of(scene: Scene, objects: ObjectTables, mesh: Mesh) -> NDArray[np.void]:
@@ -24,23 +24,23 @@ def sources_of(scene: Scene, objects: ObjectTables, mesh: Mesh) -> NDArray[np.vo
     ----------
     scene : Scene
     objects : ObjectTables
-        All but the sources.
+        Tables without the sources.
     mesh : Mesh
-        Of targets and housing, object frame.
+        Mesh of targets and housing, object frame.
 
     Raises
     ------
     SceneError
-        The forward method would have to start light all over a medium without bounds.
+        The forward method would have to start light throughout an unbounded medium.
     """
     entries = [*_lamps(objects), *_emitting_facets(objects, mesh), *_emitting_volumes(scene, objects.volumes)]
     return _sources(entries)
 
 
 def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
-    """Return tables with which the forward method starts packets from lamps alone, aimed at the glass.
+    """Return tables that start forward packets from lamps alone, aimed at the glass.
 
-    None where no packet need start: without lamps, without smooth glass, or without anything that scatters.
+    None if no packet is needed: without lamps, without smooth glass, or without anything that scatters.
     """
     glass, rough, facets = _glass(objects)
     used = objects.model[np.append(~glass, False)[objects.facets["body"]]]
@@ -52,9 +52,9 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
 
 
 def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> ObjectTables | None:
-    """Return tables with which the forward method starts packets from lamps alone, aimed at the front of the lens.
+    """Return tables that start forward packets from lamps alone, aimed at the front of the lens.
 
-    Smooth glass in object space may bend light into the lens, so that it is aimed at too. None without lamps.
+    Smooth glass in object space may bend light into the lens, so it is aimed at too. None without lamps.
 
     Parameters
     ----------
@@ -72,9 +72,9 @@ def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> O
 
 
 def _glass(objects: ObjectTables) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Tell which bodies are of glass and which of these are rough, and which facets are of smooth glass."""
+    """Return masks of the bodies of glass, of the rough ones among them, and of the facets of smooth glass."""
     glass = objects.medium != OPAQUE
-    # A body's row with what it stands in tells whether it is rough.
+    # Read the finish from a body's row for the surrounding medium.
     rough = np.zeros(len(glass), np.bool_)
     if objects.glass is not None:
         kinds = objects.glass.interfaces.rows["kind"].reshape(len(glass), len(objects.media.indices))
@@ -83,7 +83,7 @@ def _glass(objects: ObjectTables) -> tuple[NDArray[np.bool_], NDArray[np.bool_],
 
 
 def _aimed_at(objects: ObjectTables, facets: NDArray[np.bool_], points: Array) -> ObjectTables:
-    """Return tables whose only sources are lamps, aimed at a sphere round some facets and points, mm, object frame."""
+    """Return tables with only lamps as sources, aimed at a sphere round some facets and points, mm, object frame."""
     met = facets if objects.rounds is None else facets[: objects.rounds.first]
     ends = [points, objects.facets["corners"][: len(met)][met].reshape(-1, 3)]
     faces = np.zeros(0, ROUND) if objects.rounds is None else objects.rounds.faces[facets[objects.rounds.first :]]
@@ -99,13 +99,13 @@ def _aimed_at(objects: ObjectTables, facets: NDArray[np.bool_], points: Array) -
 
 
 def _lamps(objects: ObjectTables) -> list[Entry]:
-    """Return the sources of the lights: power towards the sphere that is aimed at, and whole power."""
+    """Return the sources of the lights: power towards the sphere aimed at, and whole power."""
     middle, radius = objects.lit_middle, objects.lit_radius
     return [(i, -1, *power_towards(light, middle, radius)) for i, light in enumerate(objects.lamps.rows)]
 
 
 def _emitting_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
-    """Return the sources of emitting targets, one for each facet."""
+    """Return the sources of emitting targets, one per facet."""
     entries = []
     emission = mean_emissions(objects)
     most = np.maximum(emission[:, 0], emission.sum(axis=1)).max(axis=1, initial=0.0)
@@ -126,7 +126,7 @@ def _emitting_volumes(scene: Scene, volumes: Volumes | None) -> list[Entry]:
     Raises
     ------
     SceneError
-        The forward method would have to start light all over a medium without bounds.
+        The forward method would have to start light throughout an unbounded medium.
     """
     entries: list[Entry] = []
     if volumes is None:
@@ -144,12 +144,12 @@ def _emitting_volumes(scene: Scene, volumes: Volumes | None) -> list[Entry]:
 
 
 def _sources(entries: list[Entry]) -> NDArray[np.void]:
-    """Return the table of forward sources; their shares of the packets follow the power towards the targets."""
+    """Return the table of forward sources, with shares of the packets by the power towards the targets."""
     table = np.zeros(len(entries), SOURCE)
     if entries:
         table["light"], table["facet"], table["share"], table["power"] = zip(*entries, strict=True)
         reaching = table["share"].sum()
-        # Where no power reaches the sphere, all get equal shares: the ledger books their power all the same.
+        # If no power reaches the sphere, shares are equal: the ledger books their power all the same.
         table["share"] = table["share"] / reaching if reaching > 0.0 else 1.0 / len(table)
         table["until"] = np.cumsum(table["share"])
     return table

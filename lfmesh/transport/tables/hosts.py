@@ -1,4 +1,4 @@
-"""Bodies of glass and liquid in object space as places: which points they hold, and what is known of them there."""
+"""Bodies of glass and liquid in object space as places: the points that they hold, and their properties."""
 
 from typing import NamedTuple
 
@@ -18,13 +18,13 @@ Numbers = NDArray[np.int64]
 
 @by_address
 class Hosts(NamedTuple):
-    """The targets of a scene that are bodies of glass or liquid; the others have rank 0."""
+    """Bodies of glass or liquid among the targets of a scene; other targets have rank 0."""
 
     names: list[str]  # as users name them
     rank: Numbers  # (targets,) see `ObjectTables.rank`
     medium: Numbers  # (targets,) number of the medium; OPAQUE for other targets
     media: Media
-    corners: list[Array]  # (m, 3, 3) mm, world frame, of the facets of each body; none of other targets
+    corners: list[Array]  # (m, 3, 3) mm, world frame, of the facets of each body; empty for other targets
     boxes: list[Array]  # (2, 3) mm, world frame, lowest and highest corner of each target
 
     def box_mm(self, body: int) -> tuple[Array, Array]:
@@ -33,11 +33,11 @@ class Hosts(NamedTuple):
         return low, high
 
     def index_of(self, body: int | None) -> Array:
-        """Return the refractive index of a body, None for what bodies stand in, at each wavelength."""
+        """Return the refractive index at each wavelength of a body, or of the medium round all bodies for None."""
         return self.media.indices[AIR if body is None else self.medium[body]]
 
     def absorbing(self, bodies: set[int]) -> list[int]:
-        """Return all bodies of the media of some bodies, as far as these media absorb."""
+        """Return all bodies filled with the same absorbing media as some bodies."""
         absorption = self.media.absorption
         numbers = {int(self.medium[body]) for body in bodies}
         return [
@@ -47,12 +47,12 @@ class Hosts(NamedTuple):
         ]
 
     def absorption_of(self, body: int) -> tuple[Array, int]:
-        """Return the absorption coefficient of an absorbing body at each wavelength, 1/mm, and its slot of the book."""
+        """Return an absorbing body's absorption coefficient at each wavelength, 1/mm, and its slot of the book."""
         number = self.medium[body]
         return self.media.absorption.per_mm[number], int(self.media.absorption.slot[number])
 
     def without_absorption(self, bodies: list[int]) -> Media:
-        """Return the media with those of some bodies clear."""
+        """Return the media, with the media of some bodies made clear."""
         if not bodies:
             return self.media
         per_mm = self.media.absorption.per_mm.copy()
@@ -60,11 +60,11 @@ class Hosts(NamedTuple):
         return self.media._replace(absorption=self.media.absorption._replace(per_mm=per_mm))
 
     def number_of(self, body: int | None) -> int:
-        """Return the number of the medium of a body, None for what bodies stand in."""
+        """Return the number of the medium of a body, or of the medium round all bodies for None."""
         return AIR if body is None else int(self.medium[body])
 
     def near(self, surface: Array) -> list[int]:
-        """Return the bodies whose boxes meet that of a surface, given by the corners (n, 3, 3) of its facets."""
+        """Return the bodies with boxes that meet the box of a surface, given by the corners (n, 3, 3) of its facets."""
         low, high = surface.min(axis=(0, 1)), surface.max(axis=(0, 1))
         boxes = [(body, *self.box_mm(body)) for body in np.flatnonzero(self.rank).tolist()]
         return [body for body, lowest, highest in boxes if (lowest <= high).all() and (highest >= low).all()]
@@ -75,23 +75,22 @@ class Hosts(NamedTuple):
         return CUT * min(float(np.ptp(corners, axis=(0, 1)).max()) for corners in parts)
 
     def along(self, target: TargetMesh) -> list[int | None]:
-        """Return the bodies in which parts of a target's surface are, as `top_along` does."""
+        """Return the bodies that contain parts of a target's surface, as `top_along` does."""
         if not self.rank.any():
             return [None]
         return self.top_along(target.mesh.vertices[target.mesh.faces])
 
     def top_along(self, surface: Array, *, just_inside: bool = False) -> list[int | None]:
-        """Return the bodies in which parts of a surface are, of several in one place that of the highest rank.
+        """Return the bodies that contain parts of a surface, only the one of highest rank at each place.
 
-        None stands for what bodies stand in. Parts that lie on faces of bodies, within the distance within which bodies
-        touch, are not asked about.
+        None represents the medium round all bodies. Parts in contact with faces of bodies are left out.
 
         Parameters
         ----------
         surface : (n, 3, 3) float64, mm, world frame
             Corners of its facets.
         just_inside : bool
-            Of what is just behind the surface.
+            Test the places just behind the surface instead.
         """
         bodies = self.near(surface)
         if not bodies:

@@ -56,7 +56,7 @@ def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
     hulls = [rim_hull(surface, rim) for surface, rim in zip(shape.surfaces, shape.rims, strict=True)]
     rim, barrel = shape.rims[0], 1.05 * max(shape.rims)
     if shape.surfaces["posed"].any():
-        # The hole in the plate and the barrel are as wide as poses ask for.
+        # Posed elements widen the hole in the plate and the barrel.
         reaches = [float(np.hypot(hull[:, 0], hull[:, 1]).max()) for hull in hulls]
         rim, barrel = reaches[0], 1.05 * max(reaches)
     # No rim stands behind the plate.
@@ -94,7 +94,7 @@ def object_tables(
     interfaces : Interfaces
         One row for each target.
     known : MediumList
-        The media of the scene.
+        Media of the scene.
     ranks : (targets,) int64
         See `ObjectTables.rank`.
     """
@@ -126,7 +126,7 @@ def object_tables(
     medium = np.array([known.of_body(g) if g is not None else OPAQUE for g in glasses], dtype=np.int64)
     level = np.array([SURFACE_LEVEL[g.level] if g is not None else 0 for g in glasses], dtype=np.int64)
     patches, across = curved(bool((level == PATCH).any()), mesh)
-    # Target of each rank, from 1; the entry of rank 0 is not used.
+    # Target of each rank, from 1; the entry of rank 0 is unused.
     by_rank = np.zeros(int(ranks.max(initial=0)) + 1, np.int64)
     by_rank[ranks[ranks > 0]] = np.flatnonzero(ranks)
     first, partners, near = contacts([target.met_mesh for target in targets], ranks > 0, len(facets))
@@ -134,7 +134,7 @@ def object_tables(
     reflectances = [reflectance_at(scene, i, wavelengths_nm) for i in range(len(targets))]
     radiance = np.array([radiance_at(scene, i, lines) for i in range(len(targets))]).reshape(-1, len(wavelengths_nm))
     media = known.table_of_objects(wavelengths_nm, book, medium.tolist())
-    # A black body in a medium has n² times the radiance that it has in air.
+    # A black body in a medium has n² times its radiance in air.
     radiance[[m.temperature_k is not None for m in materials]] *= media.indices[AIR] ** 2
     hosts = hosts_of(scene, targets, ranks, medium, media)
     models = facet_models(scene, targets, hosts, wavelengths_nm, reflectances)
@@ -201,21 +201,15 @@ def object_tables(
 
 
 def _rounds(targets: list[TargetMesh], to_object: Array, first: int) -> RoundFaces | None:
-    """Return the round faces that rays meet, object frame, numbered from `first` on; None if there are none."""
+    """Return the exact round faces, object frame, numbered from `first` on; None if there are none."""
     none = np.zeros(0, ROUND)
     return round_faces([none if t.round is None else t.round.faces() for t in targets], to_object, first)
 
 
 def _facets(mesh: Mesh, parts: list[Mesh], rounds: RoundFaces | None) -> NDArray[np.void]:
-    """Return the facets of targets and housing, (m,) FACET, and a row for each round face, which no ray crosses.
+    """Return the facets of targets and housing, (m,) FACET, and an empty row for each round face.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Of all parts.
-    parts : list of Mesh
-        Of the targets and, the last, of the housing.
-    rounds : RoundFaces or None
+    `mesh` joins `parts`: the targets and, last, the housing.
     """
     bodies = np.repeat([*range(len(parts) - 1), -1], [len(part.faces) for part in parts])
     facets = facet_table(mesh, bodies.astype(np.int64))
@@ -227,13 +221,13 @@ def _facets(mesh: Mesh, parts: list[Mesh], rounds: RoundFaces | None) -> NDArray
 
 
 def _models(of_facets: NDArray[np.int64], housing: int, rounds: RoundFaces | None) -> NDArray[np.int64]:
-    """Return the rows of scattering models of all facets: after those of the targets 0 for the housing, round faces."""
+    """Return the scattering model's row for each facet: of targets, housing (0) and round faces, in this order."""
     own = np.zeros(0, np.int64) if rounds is None else rounds.faces["body"]
     return np.concatenate([of_facets, np.zeros(housing, np.int64), own])
 
 
 def _with_rounds(varied: VariedGloss, housing: int, rounds: RoundFaces | None) -> VariedGloss:
-    """Return the tables of varied gloss with rows for the round faces, which have none."""
+    """Return the tables of varied gloss, extended by rows without gloss for the round faces."""
     if rounds is None or not len(varied.ranges):
         return varied
     return varied._replace(range_of=np.append(varied.range_of, np.full(housing + len(rounds.faces), -1)))
@@ -242,20 +236,14 @@ def _with_rounds(varied: VariedGloss, housing: int, rounds: RoundFaces | None) -
 def _radius(targets: list[TargetMesh], parts: list[Mesh], middle: Array) -> float:
     """Return the radius of a sphere round the origin of the object frame that holds the targets, mm.
 
-    Parameters
-    ----------
-    targets : list of TargetMesh
-    parts : list of Mesh
-        That rays meet, object frame.
-    middle : (3,) float64, mm
-        The origin in the world frame.
+    `parts` are in the object frame; `middle` is that frame's origin in the world.
     """
     meshed = (float(np.linalg.norm(part.vertices, axis=1).max()) for part in parts if len(part.vertices))
     return max([*meshed, *(t.round.farthest_mm(middle) for t in targets if t.round is not None)], default=0.0)
 
 
 def _emitters_inside(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> NDArray[np.bool_]:
-    """Tell which targets the forward method starts light at in bodies of glass, (targets,)."""
+    """Return a mask of the targets from which the forward method starts light in bodies of glass, (targets,)."""
     forward = scene.transport.method == "forward"
     found = [
         forward and each.material.emits and hosts.along(target) != [None]
@@ -267,16 +255,9 @@ def _emitters_inside(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> N
 def _boxes(
     bodies: list[Mesh], rounds: RoundFaces | None, is_glass: NDArray[np.bool_], level: NDArray[np.int64]
 ) -> Array:
-    """Return the corners of the boxes that surely hold bodies of glass, (n, 2, 3) mm; of other targets zeros.
+    """Return the corners of enclosing boxes of bodies of glass, (n, 2, 3) mm; zeros for other targets.
 
-    Parameters
-    ----------
-    bodies : list of Mesh
-    rounds : RoundFaces or None
-        Those of bodies without a mesh.
-    is_glass : (n,) bool
-    level : (n,) int64
-        Surface level of each.
+    `rounds` holds the faces of bodies without a mesh, `level` the surface level of each body.
     """
     boxes = np.zeros((len(bodies), 2, 3))
     for i in np.flatnonzero(is_glass):
@@ -297,7 +278,7 @@ def _boxes(
 
 
 def _of_smooth_patches(scene: Scene, bodies: NDArray[np.int64], level: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which facets stand for patches that light meets, (m,); at a rough body it meets the facets themselves."""
+    """Return a mask of facets that light meets as curved patches, (m,); on rough bodies it meets the facets."""
     glasses = [target.refractor for target in scene.targets]
     polished = [glass is not None and not glass.finish.is_rough for glass in glasses]
     chosen = np.append((level == PATCH) & np.array(polished, np.bool_), False)[bodies]
@@ -305,15 +286,9 @@ def _of_smooth_patches(scene: Scene, bodies: NDArray[np.int64], level: NDArray[n
 
 
 def _texels(texture: Texture, weights: Array, in_bands: bool) -> NDArray[np.float32]:
-    """Return the texels of a texture, row by row, at every wavelength, or their primaries.
+    """Return the texels of a texture, row by row: a value at every wavelength or, in bands, the primaries.
 
-    Parameters
-    ----------
-    texture : (h, w, 3) float32
-    weights : (wavelengths, 3) float64
-        See `primary_reflectances`.
-    in_bands : bool
-        Bands have hundreds of wavelengths: too many to keep the values at each.
+    Bands have too many wavelengths to keep a value for each. For `weights`, see `primary_reflectances`.
     """
     if in_bands:
         return texture.reshape(-1, 3)
@@ -326,7 +301,7 @@ def _texels(texture: Texture, weights: Array, in_bands: bool) -> NDArray[np.floa
 def with_volumes(
     tables: ObjectTables, scene: Scene, targets: list[TargetMesh], moves: Array, book: Book, lines: Lines
 ) -> ObjectTables:
-    """Return the tables with media, and with spheres that hold the media too.
+    """Return the tables with media added, and with spheres enlarged to hold the media.
 
     Parameters
     ----------
@@ -343,7 +318,7 @@ def with_volumes(
     Raises
     ------
     SceneError
-        Media cannot be used, or light of a direction would come through a medium without bounds.
+        Media cannot be used, or directional light would come through an unbounded medium.
     """
     hosts = hosts_of(scene, targets, tables.rank, tables.medium, tables.media)
     volumes, media = volume_tables(scene, moves, lines, book.media, hosts)
@@ -364,7 +339,7 @@ def with_volumes(
 
 
 def _refuse_touched_finishes(scene: Scene, bodies: NDArray[np.int64], first: NDArray[np.int64]) -> None:
-    """Refuse a coated or rough body of glass that touches another: which of the two faces is met would be chance."""
+    """Refuse a coated or rough body of glass that touches another: chance would decide which face a ray meets."""
     if not len(first):
         return
     touching = np.unique(bodies[np.flatnonzero(np.diff(first) > 0)])

@@ -1,6 +1,6 @@
-"""The table of media that absorb, emit or scatter in object space, as kernels read it.
+"""Table for kernels of the media in object space that absorb, emit or scatter.
 
-A new quantity that varies by voxels has its name in `geometry.voxels`, its place in the rows here and its use in
+To add a quantity that varies by voxels, name it in `geometry.voxels`, give it a place in the rows here and use it in
 `events.volume`.
 """
 
@@ -36,35 +36,35 @@ IN_FRONT, BOX, SPHERE, CYLINDER, SHELL = range(5)
 """Kinds of bounds."""
 
 PER_VOLUME, OF_VOXELS, OF_BODY, BY_TEMPERATURE = range(4)
-"""Kinds of emission: uniform, by voxels, as a body of one temperature, or of temperatures by voxels."""
+"""Kinds of emission: uniform, by voxels, as a body of one temperature, or by voxel temperatures."""
 
 NOT_IN_GRID = -1
 
 ROUNDING = 1e-12
-"""Largest apparent reach of a medium behind the first lens vertex where it ends, relative to its farthest corner."""
+"""Largest reach behind the first lens vertex that counts as rounding, relative to a medium's farthest corner."""
 
 COLDEST_K = 1e-30
-"""In place of 0 K, at which Planck's law has no value: nothing shines there either."""
+"""Stands for 0 K, where Planck's law is undefined; a body this cold does not shine either."""
 
 BEYOND_BODY = 1.01
-"""Size of the box round a body that a medium fills, over the body's own: it ends nowhere in the body."""
+"""Size of the box of a medium that fills a body, over the body's own, so that it does not end in the body."""
 
 W_MM3 = 1e6
 """W/(mm² sr) in W/(m² sr)."""
 
 VOLUME = np.dtype(
     [
-        ("inside", "i8"),  # rank of the body of glass or liquid that it is in; 0: air
+        ("inside", "i8"),  # rank of the body of glass or liquid around it; 0: air
         ("bounds", "i8"),
         ("size", "f8", (3,)),  # mm: half edges of a box; radius; radius and half height of a cylinder
         ("box", "f8", (2, 3)),  # mm, lowest and highest corner of the bounds
-        ("nodes", "i8", (2,)),  # of a mesh: its first node in `Volumes.shells`, and the one after its last
+        ("nodes", "i8", (2,)),  # first node of a mesh in `Volumes.shells`, and the one after its last
         ("to_own", "f8", (3, 4)),  # from the object frame into the medium's own
         ("cells", "i8", (3,)),  # voxels along x, y, z; 0: no grid
         ("constant", "i8"),  # 1: each voxel has one value throughout
         ("origin", "f8", (3,)),  # mm, centre of voxel 0
         ("spacing", "f8", (3,)),  # mm
-        ("low", "f8", (3,)),  # mm, box of the grid or, without one, round the bounds
+        ("low", "f8", (3,)),  # mm, box of the grid or, without one, of the bounds
         ("high", "f8", (3,)),
         ("absorption", "i8"),  # first of the grid's values, or NOT_IN_GRID
         ("scattering", "i8"),
@@ -72,43 +72,43 @@ VOLUME = np.dtype(
         ("emits", "i8"),
         ("slot", "i8"),  # of the book
         ("first", "i8"),  # first of `Volumes.until`
-        ("drawn", "i8"),  # number of voxels from which points are drawn; 0: they are uniform from `low` to `high`
+        ("drawn", "i8"),  # number of voxels to draw points from; 0: uniform from `low` to `high`
     ]
 )
 
 
 FITTED_K = 800.0, 2000.0
-"""Temperatures at which `_planck_constants` are right."""
+"""Temperatures at which `_planck_constants` are exact."""
 
 
 @by_address
 class Volumes(NamedTuple):
-    """Media in object space; what a grid holds is multiplied by the number of its wavelength.
+    """Media in object space; grid values are multiplied by the entry of their wavelength.
 
-    Behind those of the scene stand glasses and liquids that absorb and have a medium in them.
+    The media of the scene come first, then the absorbing glasses and liquids that hold a medium.
     """
 
     rows: NDArray[np.void]  # (n,) VOLUME
-    absorption: Array  # (n, wavelengths) 1/mm; of a grid 1
+    absorption: Array  # (n, wavelengths) 1/mm; 1 for a grid
     scattering: Array  # (n, wavelengths) 1/mm
     # (n, wavelengths) W/(m² sr mm); OF_BODY: radiance of the black body, W/(m² sr); BY_TEMPERATURE: n² of the place
     emission: Array
     planck: Array  # (2, wavelengths) of Planck's law c₁ / (exp(c₂ / T) − 1), W/(m² sr) and K
     values: Array  # of all grids, one after the other, each [x, y, z]
-    until: Array  # of all emitting grids: up to which random number a voxel is drawn
+    until: Array  # of all emitting grids: cumulative probability of the voxels
     phases: PhaseTables
     isotropic: NDArray[np.void]  # (1,) PHASE, of emission
-    powers: Array  # (n,) about what each emits, W; inf: it has no bounds
-    scatters: bool  # what they scatter is followed; else they take it away
+    powers: Array  # (n,) approximate emitted power, W; inf: no bounds
+    scatters: bool  # scattered light is followed; otherwise it is lost
     emit: bool
-    shells: Any = None  # ShellTree of the meshes that bound media; None: code for them is not even compiled
+    shells: Any = None  # ShellTree of the meshes that bound media; None: their code is not compiled
     near_lamps: SingleScatter = NOTHING_NEAR_LAMPS
 
 
 def volume_tables(
     scene: Scene, moves: Array, lines: Lines, slots: NDArray[np.int64], hosts: Hosts
 ) -> tuple[Volumes | None, Media]:
-    """Return the media of a scene, None if there are none, and the media of its bodies without those among them.
+    """Return the media of a scene, None if there are none, and the media of bodies without the absorption moved here.
 
     Parameters
     ----------
@@ -119,12 +119,12 @@ def volume_tables(
     slots : (media,) int64
         Slots of the book.
     hosts : Hosts
-        Bodies that media may be in.
+        Bodies that may hold media.
 
     Raises
     ------
     SceneError, FileError
-        A grid cannot be used, a spectrum does not reach far enough, a medium reaches behind the lens or is nowhere.
+        A grid cannot be used, a spectrum is too short, or a medium reaches behind the lens or is displaced by bodies.
     """
     if not scene.media:
         return None, hosts.media
@@ -222,27 +222,27 @@ def volume_tables(
 
 
 def volumes_at(volumes: Volumes, scene: Scene, moves: Array, lines: Lines, hosts: Hosts) -> tuple[Volumes, Media]:
-    """Return media that take and scatter light as at other lines, and emit as before; no file is read again.
+    """Return media with absorption and scattering at other lines, unchanged emission, and no file read again.
 
     Parameters
     ----------
     volumes : Volumes
-        Of the scene.
+        Media of the scene.
     scene : Scene
     moves, lines
-        As of `volume_tables`.
+        As for `volume_tables`.
     hosts : Hosts
-        With the media of bodies at these lines.
+        Bodies with their media at these lines.
 
     Returns
     -------
     Volumes
     Media
-        As of `volume_tables`.
+        As from `volume_tables`.
     """
     count, wide = len(scene.media), len(lines.wavelengths_nm)
     holding = [scene.body_named(m.inside) if m.inside is not None else None for m in scene.media]
-    # A body may absorb at these lines that is clear at those of the scene, and the other way round.
+    # A body may absorb at these lines and be clear at the scene's, and the other way round.
     absorbing = hosts.absorbing({body for body in holding if body is not None})
     added, taken = _of_bodies(absorbing, hosts, moves, wide)
     rows = np.concatenate([volumes.rows[:count], added])
@@ -263,10 +263,10 @@ def volumes_at(volumes: Volumes, scene: Scene, moves: Array, lines: Lines, hosts
 
 
 def _planck_constants(lines: Lines) -> Array:
-    """Return c₁ and c₂ of Planck's law c₁ / (exp(c₂ / T) − 1) that each line stands for, (2, lines), W/(m² sr) and K.
+    """Return c₁ and c₂ of Planck's law c₁ / (exp(c₂ / T) − 1) for each line, (2, lines), W/(m² sr) and K.
 
-    Those of its wavelength, corrected so that at two temperatures the law is the mean over the line's stratum: the
-    light of a flame grows by some per cent from nanometre to nanometre.
+    They are corrected so that at two temperatures the law is the mean over the line's stratum: the light of a flame
+    grows by some per cent per nanometre.
     """
     first, second = planck_constants(np.array(lines.wavelengths_nm))
     if lines.span_nm is not None:
@@ -280,7 +280,7 @@ def _planck_constants(lines: Lines) -> Array:
 
 
 def _of_bodies(bodies: list[int], hosts: Hosts, moves: Array, wide: int) -> tuple[NDArray[np.void], Array]:
-    """Return rows of media that absorb as bodies do, in place of these, and their coefficients at each wavelength."""
+    """Return rows of media that absorb in place of bodies, and their coefficients at each wavelength."""
     rows, absorption = np.zeros(len(bodies), VOLUME), np.zeros((len(bodies), wide))
     for row, own, body in zip(rows, absorption, bodies, strict=True):
         own[:], row["slot"] = hosts.absorption_of(body)
@@ -291,7 +291,7 @@ def _of_bodies(bodies: list[int], hosts: Hosts, moves: Array, wide: int) -> tupl
 
 
 def _phases(scene: Scene, lines: Lines, holding: list[int | None], hosts: Hosts, more: int) -> PhaseTables:
-    """Return the phase functions of the media, each in its body, and of more that do not scatter."""
+    """Return the phase functions of the media, each in its body, and of `more` media that do not scatter."""
     functions = [
         phase_functions(m.phase, lines.wavelengths_nm, scene, f"media[{i}].phase", hosts.index_of(body))
         for i, (m, body) in enumerate(zip(scene.media, holding, strict=True))
@@ -301,18 +301,18 @@ def _phases(scene: Scene, lines: Lines, holding: list[int | None], hosts: Hosts,
 
 
 def _brightness(row: np.void, grid: VoxelGrid | None, absorption: Array, spectrum: Array, planck: Array) -> Array:
-    """Return what points are drawn in proportion to: the mean emission over wavelengths, (voxels,) or (1,).
+    """Return the weights for drawing points: the mean emission over wavelengths, (voxels,) or (1,).
 
-    Of a trilinear grid each voxel takes the largest value of its neighbours too, so that none that shines in part is
-    left out.
+    In a trilinear grid, each voxel takes the largest value of itself and its neighbours, to include voxels that shine
+    only in part.
     """
-    # Of the lines at which it shines, so that light of a narrow band is not overlooked.
+    # Only lines at which it shines, so that narrow-band light is not overlooked.
     body = absorption if row["emits"] in (OF_BODY, BY_TEMPERATURE) else np.ones_like(spectrum)
     shines = np.flatnonzero(body * spectrum > 0.0)
     if not len(shines):
         return np.zeros(1)
     some = shines[np.unique(np.linspace(0, len(shines) - 1, 8).astype(int))]
-    # The others count as lines at which nothing shines.
+    # The other lines count as dark.
     count = len(some) * len(spectrum) / len(shines)
     if grid is None or (row["emission"] == NOT_IN_GRID and row["emits"] == PER_VOLUME):
         return np.array([(body * spectrum)[some].sum() / count])
@@ -338,7 +338,7 @@ def _brightness(row: np.void, grid: VoxelGrid | None, absorption: Array, spectru
 
 
 def _set_bounds(scene: Scene, medium: Medium, row: np.void) -> Array | None:
-    """Set the bounds of a medium; return the corners of a mesh that bounds it in its own frame, (m, 3, 3) mm."""
+    """Set the bounds of a medium; return the corners of its bounding mesh, if any, own frame, (m, 3, 3) mm."""
     match medium.bounds:
         case Box(size_mm=size):
             row["bounds"], row["size"] = BOX, np.multiply(0.5, size)
@@ -358,7 +358,7 @@ def _set_bounds(scene: Scene, medium: Medium, row: np.void) -> Array | None:
 
 
 def _fill(row: np.void, hosts: Hosts, body: int, moves: Array) -> None:
-    """Let a medium reach over a box round a body: it is where packets are in that body."""
+    """Extend a medium over a box round a body; it then exists wherever packets are in that body."""
     low, high = hosts.box_mm(body)
     middle = frame.frame((0.0, 0.0, 0.0), tuple((0.5 * (low + high)).tolist()))
     row["to_own"] = frame.compose(frame.inverse(middle), moves[OBJECT_FRAME, WORLD_FRAME])
@@ -368,7 +368,7 @@ def _fill(row: np.void, hosts: Hosts, body: int, moves: Array) -> None:
 
 
 def _boundary(row: np.void, shell: Array | None) -> Array | None:
-    """Return the corners of the facets of the boundary of a medium, (m, 3, 3) mm, own frame; None if it has no end."""
+    """Return the corners of the facets of a medium's boundary, (m, 3, 3) mm, own frame; None if it is unbounded."""
     corners = corners_of(row)
     if corners is None:
         return None
@@ -384,7 +384,7 @@ def _boundary(row: np.void, shell: Array | None) -> Array | None:
 
 
 def _grid_of(scene: Scene, medium: Medium, where: str) -> VoxelGrid | None:
-    """Return the voxel grid of a medium, and refuse what is given both there and beside it."""
+    """Return the voxel grid of a medium; refuse a quantity given both in the grid and beside it."""
     given = medium.grid
     if given is None:
         return None
@@ -415,7 +415,7 @@ def _coefficient(scene: Scene, value: float | Spectrum, lines: Lines, where: str
 
 
 def corners_of(row: np.void) -> Array | None:
-    """Return the corners of a box round a medium in its own frame, (8, 3) mm; None if it has no end."""
+    """Return the corners of a box round a medium in its own frame, (8, 3) mm; None if it is unbounded."""
     low, high = row["box"]
     if row["cells"][0] > 0:
         low, high = np.maximum(low, row["low"]), np.minimum(high, row["high"])
@@ -426,11 +426,11 @@ def corners_of(row: np.void) -> Array | None:
 
 
 def _refuse_behind_lens(row: np.void, where: str, moves: Array, shell: Array | None) -> None:
-    """Refuse a medium that reaches behind the first lens vertex; one without bounds ends there."""
+    """Refuse a medium that reaches behind the first lens vertex; cut an unbounded one off there."""
     to_camera = frame.compose(moves[OBJECT_FRAME, CAMERA_FRAME], frame.inverse(row["to_own"]))
     corners = corners_of(row)
     if corners is None:
-        # Its own frame becomes the camera's, in which it lies at z < 0.
+        # Its own frame becomes the camera's, and it lies at z < 0.
         row["to_own"] = moves[OBJECT_FRAME, CAMERA_FRAME]
         return
     placed = frame.points(to_camera, corners if shell is None or row["cells"][0] > 0 else shell.reshape(-1, 3))
@@ -445,7 +445,7 @@ def _refuse_behind_lens(row: np.void, where: str, moves: Array, shell: Array | N
 
 
 def corners_in_camera(volumes: Volumes | None, moves: Array) -> Array:
-    """Return the corners of boxes round the media that have bounds, camera frame, (n, 3) mm.
+    """Return the corners of boxes round the bounded media, camera frame, (n, 3) mm.
 
     Parameters
     ----------
@@ -463,12 +463,7 @@ def corners_in_camera(volumes: Volumes | None, moves: Array) -> Array:
 
 
 def reach_of(volumes: Volumes | None) -> tuple[float, bool]:
-    """Return the radius about the object frame's origin that holds all media with bounds, and whether one has none.
-
-    Parameters
-    ----------
-    volumes : Volumes or None
-    """
+    """Return the radius about the object frame's origin that holds all bounded media, and whether one is unbounded."""
     radius, endless = 0.0, False
     for row in volumes.rows if volumes is not None else ():
         corners = corners_of(row)

@@ -1,16 +1,15 @@
-"""Refuse curved faces of glass that come nearer to another face than their facets stand off the curved surface.
+"""Refuse curved faces of glass closer to another face than the distance of their facets from the curved surface.
 
-Rays look for facets, and are then moved to the curved surface that the facets stand for. From there they look for what
-comes next, so a face between a facet and its curved surface is passed unseen. Along lines across both faces, the spans
-between facet and curved surface must therefore not overlap. Two cases are harmless: facets that are the same, which
-are crossed as one; and faces that cut each other at an angle, for then only rays that come close to the cut can be
-wrong, and what they lose is in the ledger. Faces of one body are not compared: a shell thinner than that loses nearly
-all light, and the run says so.
+A ray finds a facet, is moved to the curved surface that it represents, and searches on from there. It would miss a face
+in between. Along lines across two faces, the spans between facet and curved surface must therefore not overlap. Two
+cases are harmless: identical facets, which are crossed as one; and faces that cut at an angle, since only rays close to
+the cut can be wrong, and the ledger shows their loss. Faces of one body are not compared: a shell so thin loses nearly
+all light, and the run reports it.
 
 The search divides pairs of facets into cells. The control points of a cell's patch and the corners of its facet bound
-the space between the two (G. Farin, Curves and Surfaces for CAGD, 2002, chapter 17), and vectors bound the directions
-of its normals in the same way. A pair of cells that these bounds keep apart, or show to cut at an angle, is done. The
-others are divided, down to a `FINEST` of the smaller facet. An overlap that fills such a cell cannot be missed.
+the space between the two (G. Farin, Curves and Surfaces for CAGD, 2002, chapter 17); vectors bound the normals
+likewise. Pairs of cells that are apart or cut at an angle, by these bounds, are done; the others are divided, down to a
+`FINEST` of the smaller facet. An overlap that fills such a cell cannot be missed.
 """
 
 from dataclasses import dataclass
@@ -44,19 +43,19 @@ from lfmesh.transport.tables.contacts import touching_mm
 Index = NDArray[np.int64]
 
 FINEST = 1.0 / 16.0
-"""Size of cells that are divided no further, over the smaller of the two facets."""
+"""Size of the smallest cells, relative to the smaller of the two facets."""
 
 AT_ONCE = 1 << 12
-"""Pairs of cells that are compared at a time."""
+"""Pairs of cells compared at a time."""
 
 ORDERS = np.array([[0, 1, 2, 3, 4, 5], [1, 2, 0, 4, 5, 3], [2, 0, 1, 5, 3, 4],
                    [0, 2, 1, 5, 4, 3], [2, 1, 0, 4, 3, 5], [1, 0, 2, 3, 5, 4]])  # fmt: skip
-"""Orders in which the control points of one patch may be those of another."""
+"""Possible orders of the same control points in two patches."""
 
 
 @dataclass
 class _Face:
-    """The surface of a target: facets, and the curved patches that they stand for."""
+    """Surface of a target: its facets, and the curved patches that they represent."""
 
     number: int
     mesh: Mesh
@@ -69,21 +68,21 @@ class _Face:
 
     @cached_property
     def coefficients(self) -> Array:
-        """Coefficients of patches, (m, 6, 3); flat ones where the surface is made of facets."""
+        """Coefficients of the patches, (m, 6, 3); flat ones for a surface made of facets."""
         normals = self.mesh.corner_normals if self.curved else None
         return patches(self.corners, facet_corner_normals(self.mesh) if normals is None else normals)
 
     @cached_property
     def hulls(self) -> Array:
-        """Control points of the patches, (m, 6, 3), mm: corners, and one for each edge ab, bc, ca."""
+        """Control points of the patches, (m, 6, 3), mm: the corners, and one for each edge ab, bc, ca."""
         return control_points(self.coefficients)
 
     @cached_property
     def stand_off(self) -> float:
-        """Bound of the largest distance between a facet and its patch, mm.
+        """Upper bound of the distance between a facet and its patch, mm.
 
-        The two differ by 2 Σ d λᵢ λⱼ over the three edges, by the barycentric weights λ and the distances d of the
-        edges' control points from their middles. The sum of the three products is a third at most.
+        The two differ by 2 Σ d λᵢ λⱼ over the edges, with the barycentric weights λ and the distances d of the edges'
+        control points from their midpoints. The three products add up to at most 1/3.
         """
         middles = 0.5 * (self.corners + np.roll(self.corners, -1, axis=1))
         return 2.0 / 3.0 * float(np.linalg.norm(self.hulls[:, 3:] - middles, axis=2).max(initial=0.0))
@@ -95,19 +94,19 @@ class _Face:
 
 
 class _Cells(NamedTuple):
-    """Pairs of cells: triangles in the parameters of a facet of each of two faces."""
+    """Pairs of cells, one of each face: triangles in the parameters of a facet."""
 
     facets: Index  # (k, 2)
     corners: Array  # (k, 2, 3, 2) parameters (η, ζ) of the corners
 
     def some(self, which: Any) -> "_Cells":
-        """Return some of the pairs."""
+        """Return a selection of the pairs."""
         return _Cells(self.facets[which], self.corners[which])
 
 
 @dataclass
 class _Close:
-    """Two faces that are too close: the place, the distance between the curved surfaces, and the stand-offs, mm."""
+    """Place where two faces are too close, the distance between the curved surfaces, and the stand-offs, mm."""
 
     place: Array
     gap: float
@@ -115,20 +114,20 @@ class _Close:
 
 
 def refuse_close_faces(scene: Scene, targets: list[TargetMesh], bodies: list[int]) -> None:
-    """Refuse faces that come nearer to a curved face of glass than facets stand off the curved surface there.
+    """Refuse faces closer to a curved face of glass than the stand-off of the facets there.
 
     Parameters
     ----------
     scene : Scene
     targets : list of TargetMesh
-        Of the scene, in order.
+        All targets of the scene, in order.
     bodies : list of int
         Numbers of the targets that are bodies of glass.
 
     Raises
     ------
     SceneError
-        Naming the targets and the place.
+        Names the targets and the place.
     """
     if not any(_is_curved(scene.targets[i]) for i in bodies):
         return
@@ -145,7 +144,7 @@ def refuse_close_faces(scene: Scene, targets: list[TargetMesh], bodies: list[int
 
 
 def _is_curved(target: Target) -> bool:
-    """Tell whether a target is glass whose facets stand for a curved surface."""
+    """Tell whether a target is glass with facets that represent a curved surface."""
     return target.refractor is not None and SURFACE_LEVEL[target.refractor.level] != FLAT
 
 
@@ -175,9 +174,9 @@ def _close_place(faces: tuple[_Face, _Face], near: float) -> _Close | None:
 
 
 def _may_be_apart(faces: tuple[_Face, _Face], pairs: Index, near: float) -> NDArray[np.bool_]:
-    """Tell which pairs (k, 2) of facets have none that is also a facet of the other face, to a distance.
+    """Return a mask of pairs (k, 2) of facets without a facet shared by both faces, to within a distance.
 
-    One that is the same as a facet of the other face is to that face's other facets as they are to each other.
+    A shared facet stands to the second face's other facets as these stand to each other.
     """
     one, other = (face.hulls[pairs[:, k]] for k, face in enumerate(faces))
     low, high = (np.abs(end(one, axis=1) - end(other, axis=1)).max(axis=1) <= near for end in (np.min, np.max))
@@ -190,24 +189,16 @@ def _may_be_apart(faces: tuple[_Face, _Face], pairs: Index, near: float) -> NDAr
 
 
 class _Bounds(NamedTuple):
-    """Bounds of one cell of each pair."""
+    """Bounds of one cell in each pair."""
 
-    hull: Array  # (k, 9, 3) mm, points whose hull holds the cells of patch and facet, and all between them
+    hull: Array  # (k, 9, 3) mm, points with a hull that contains the cells of patch and facet and the space between
     depth: Array  # (k,) mm, largest distance between patch and facet
     axis: Array  # (k, 3) unit direction near the normals of the patch
     spread: Array  # (k,) rad, largest angle between a normal of the patch and the axis
 
 
 def _bounds(face: _Face, facets: Index, corners: Array) -> _Bounds:
-    """Return the bounds of cells of a face.
-
-    Parameters
-    ----------
-    face : _Face
-    facets : (k,) int64
-    corners : (k, 3, 2) float64
-        Parameters of the cells' corners.
-    """
+    """Return the bounds of cells with corners at some parameters, (k, 3, 2), of facets (k,) of a face."""
     of_patch = face.coefficients[facets]
     control = cell_control_points(of_patch, corners)
     one, other = corners[:, CORNERS], corners[:, ENDS]
@@ -228,7 +219,7 @@ def _bounds(face: _Face, facets: Index, corners: Array) -> _Bounds:
 
 
 def _may_overlap(faces: tuple[_Face, _Face], cells: _Cells, rounding: float) -> NDArray[np.bool_]:
-    """Tell which pairs of cells their bounds neither keep apart nor show to cut each other at an angle."""
+    """Return a mask of pairs of cells that their bounds show neither apart nor cutting at an angle."""
     pair = [_bounds(face, cells.facets[:, k], cells.corners[:, k]) for k, face in enumerate(faces)]
     axes = [*(np.broadcast_to(axis, pair[0].axis.shape) for axis in np.eye(3))]
     for k, face in enumerate(faces):
@@ -251,7 +242,7 @@ def _may_overlap(faces: tuple[_Face, _Face], cells: _Cells, rounding: float) -> 
 
 
 def _divided(faces: tuple[_Face, _Face], cells: _Cells) -> _Cells:
-    """Divide the larger cell of each pair into four; leave out pairs that are finest already."""
+    """Divide the larger cell of each pair into four; drop pairs that cannot be divided further."""
     edges = [
         np.linalg.norm(each - np.roll(each, -1, axis=1), axis=2).max(axis=1)
         for each in (_on_facets(face, cells.facets[:, k], cells.corners[:, k]) for k, face in enumerate(faces))
@@ -268,7 +259,7 @@ def _divided(faces: tuple[_Face, _Face], cells: _Cells) -> _Cells:
 
 
 def _on_facets(face: _Face, facets: Index, places: Array) -> Array:
-    """Return points (k, n, 3) of facets by the parameters (k, n, 2) of their patches, mm."""
+    """Return points (k, n, 3) of facets, mm, from the parameters (k, n, 2) of their patches."""
     a, b, c = np.moveaxis(face.corners[facets], 1, 0)
     return np.asarray(a[:, None] + places[..., :1] * (b - a)[:, None] + places[..., 1:] * (c - b)[:, None])
 
@@ -276,14 +267,14 @@ def _on_facets(face: _Face, facets: Index, places: Array) -> Array:
 def _overlap_at_middles(
     faces: tuple[_Face, _Face], cells: _Cells, own: int, rounding: float, near: float
 ) -> _Close | None:
-    """Return where spans between facet and patch overlap, along the normals at the middles of cells; None: nowhere."""
+    """Return a place on a normal at a cell's middle where both spans from facet to patch overlap; None if none do."""
     mine, its = cells.facets[:, own], cells.facets[:, 1 - own]
     place = cells.corners[:, own].mean(axis=1)
     points, normals = (each[:, 0] for each in patch_points(faces[own].coefficients[mine], place[:, :1], place[:, 1:]))
     on_facet = _on_facets(faces[own], mine, place[:, None])[:, 0]
     before = np.einsum("ki,ki->k", points - on_facet, normals)
     at_facet, at_patch, turn, meets = _along(faces[1 - own], its, points, normals)
-    # Both spans along the normal, from the point on the curved surface.
+    # Both spans along the normal, measured from the point on the curved surface.
     mine_low, mine_high = np.minimum(0.0, -before), np.maximum(0.0, -before)
     its_low, its_high = np.minimum(at_facet, at_patch), np.maximum(at_facet, at_patch)
     overlap = meets & (mine_low + rounding <= its_high) & (its_low + rounding <= mine_high)
@@ -297,11 +288,10 @@ def _overlap_at_middles(
 
 
 def _along(face: _Face, facets: Index, points: Array, ways: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Return where lines meet facets and their patches, as distances along the lines, and the tangent of the angle.
+    """Return the distances along lines to facets and their patches, and the tangent of the angle.
 
     Parameters
     ----------
-    face : _Face
     facets : (n,) int64
         Facet that each line may meet.
     points, ways : (n, 3) float64
@@ -311,9 +301,9 @@ def _along(face: _Face, facets: Index, points: Array, ways: Array) -> tuple[Arra
     -------
     at_facet, at_patch : (n,) float64, mm
     turn : (n,) float64
-        Of the angle between line and normal.
+        Tangent of the angle between line and normal.
     meets : (n,) bool
-        True where the line meets the facet; the others are of the plane.
+        The line meets the facet; otherwise the distance is to its plane.
     """
     a, b, c = np.moveaxis(face.corners[facets], 1, 0)
     cross = np.cross(b - a, c - a)
@@ -335,7 +325,7 @@ def _along(face: _Face, facets: Index, points: Array, ways: Array) -> tuple[Arra
 
 
 def _told(scene: Scene, one: int, other: int, close: _Close, reach: float) -> str:
-    """Return the message with which two faces are refused."""
+    """Return the error message for two faces."""
     x, y, z = close.place
     same = "let both have the same facets there, or " if scene.targets[other].refractor is not None else ""
     return (

@@ -1,9 +1,8 @@
-"""Refuse bodies of glass in object space through which rays cannot be traced.
+"""Refuse bodies of glass in object space that rays cannot be traced through.
 
-A packet keeps track of the bodies of glass that it is in, by the surfaces that it crosses. So no surface may cut
-itself, the shells of a body must be nested with the right orientation, and camera and lamps must stand in air. Where
-bodies overlap, it must be defined which of them counts: the one of higher priority or, at equal priority, the one that
-lies inside the other.
+A packet tracks the bodies of glass around it by the surfaces that it crosses. Therefore no surface may cut itself, the
+shells of a body must be nested and oriented correctly, and camera and lamps must stand in air. In an overlap, the body
+of higher priority counts or, at equal priority, the one inside the other.
 """
 
 from collections.abc import Container, Sequence
@@ -31,36 +30,35 @@ from lfmesh.transport.tables.contacts import CUT, common_area, touching_mm, wide
 Index = NDArray[np.int64]
 
 MOST_ROUNDS = 64
-"""Largest number of queries along an edge, which passes its own facets and those that it touches."""
+"""Largest number of queries along an edge; it passes its own facets and all that it touches."""
 
 JUST_BESIDE = 1e-6
-"""Distance from the centre of a facet at which a point is just inside or outside its body, relative to the radius of
-the facet's inscribed circle."""
+"""Distance of test points in front of or behind a facet's centre, relative to the radius of its inscribed circle."""
 
 AS_CLOSE = 2.0
-"""Faces of glass and of another target lie on each other where they are closer than this, in roundings of float32."""
+"""Distance within which a face of glass and another target lie on each other, in roundings of float32."""
 
 
 def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Array) -> Index:
-    """Refuse glass that cuts itself, encloses the camera or a light, or overlaps without a rule; return the ranks.
+    """Refuse glass that cuts itself, encloses camera or light, or overlaps without a rule; return the ranks.
 
     Parameters
     ----------
     scene : Scene
     targets : list of TargetMesh
-        Of the scene, in order.
+        All targets of the scene, in order.
     front : (n, 3) float64, mm
         Points of the camera's first surface, world frame.
 
     Returns
     -------
     (targets,) int64
-        Rank of each body of glass, from 1; where bodies overlap, the highest rank counts. 0: not a body of glass.
+        Rank of each body of glass, from 1; the highest rank counts in an overlap. 0: not a body of glass.
 
     Raises
     ------
     SceneError
-        Naming the bodies and the place.
+        Names the bodies and the place.
     """
     bodies = [i for i, target in enumerate(scene.targets) if target.refractor is not None]
     ranks = np.zeros(len(targets), np.int64)
@@ -77,7 +75,7 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     _refuse_wrong_shells({i: own for i, own in parts.items() if i not in rounds}, names)
     refuse_close_faces(scene, targets, bodies)
     holders = _holders(parts, names, priority, rounds)
-    # A body inside another of its priority is also inside all bodies that enclose that one, and so inside more.
+    # A body inside another of its priority is also inside all that enclose the other, and so inside more.
     order = sorted(bodies, key=lambda i: (priority[i], len(holders[i])))
     _refuse_crowds(parts, names, touching_mm(list(meshes.values())))
     _refuse_covered_faces(scene, targets, bodies)
@@ -111,7 +109,7 @@ def _refuse_cuts(
 
 
 def _pair(one: RoundBody, other: RoundBody) -> Pair:
-    """Return how two round bodies of glass stand to each other, by the depth up to which they touch."""
+    """Return the relative position of two round bodies; a slight overlap counts as contact."""
     boxes = one.box_mm(), other.box_mm()
     near = CUT * min(float(np.ptp(box, axis=0).max()) for box in boxes)
     meet = (boxes[0][0] <= boxes[1][1]).all() and (boxes[0][1] >= boxes[1][0]).all()
@@ -121,7 +119,7 @@ def _pair(one: RoundBody, other: RoundBody) -> Pair:
 def _cut(
     names: dict[int, str], priority: dict[int, int], found: tuple[int, int, tuple[float, float, float]]
 ) -> SceneError:
-    """Return the error of a body that cuts itself or another of the same priority: both, and the place."""
+    """Return the error for bodies of one priority, or one body alone, that cut at a place."""
     one, other, (x, y, z) = found
     where = f"near ({x:.4g}, {y:.4g}, {z:.4g}) mm"
     if one == other:
@@ -138,10 +136,10 @@ def _cut(
 def cut(
     mesh: Mesh, owner: Index, size: Array, priority: dict[int, int] | None = None, rounds: Container[int] = ()
 ) -> tuple[int, int, tuple[float, float, float]] | None:
-    """Return two owners of facets that cut each other, and the place; None if there are none.
+    """Return the owners of two facets that cut each other, and the place; None if there are none.
 
-    Where two closed surfaces cut each other, an edge of one passes through a facet of the other. Embree finds facets
-    that an edge may meet, and float64 decides.
+    If closed surfaces cut each other, an edge of one passes through a facet of the other. Embree finds the facets near
+    an edge, and float64 decides.
 
     Parameters
     ----------
@@ -152,9 +150,9 @@ def cut(
     size : (m,) float64, mm
         Size of the owner of each facet.
     priority : dict of int, optional
-        Priority of owners; two of different priority may cut each other.
+        Priority of owners; owners of different priority may cut each other.
     rounds : container of int, optional
-        Owners whose facets stand for round bodies, of which no two are compared.
+        Owners that are round bodies, which are not compared with each other.
     """
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     vertices = mesh.vertices - middle
@@ -187,7 +185,7 @@ def cut(
         own = facet_of_edge[going]
         passes &= (of_facet[facet] == of_facet[own]) & ~(is_round[facet] & is_round[own])
         for p, q in ((a, b), (b, c), (c, a)):
-            # Inside the facet by as much, so that contact along an edge does not count.
+            # At least as deep inside the facet, so that contact along an edge does not count.
             inward = np.cross(normals[facet], q - p)
             passes &= np.einsum("ij,ij->i", place - p, inward) > deep * np.linalg.norm(q - p, axis=1)
         if passes.any():
@@ -204,7 +202,7 @@ Shells = dict[int, list[Array]]
 
 
 def _beside(corners: Array, distance: float) -> Array:
-    """Return (m, 3) points behind the centres of facets, at a distance in inscribed radii; negative: in front."""
+    """Return points (m, 3) behind the centres of facets, at a distance in inscribed radii; negative: in front."""
     edges = np.roll(corners, -1, axis=1) - corners
     cross = np.cross(edges[:, 0], edges[:, 1])
     around = np.linalg.norm(edges, axis=2).sum(axis=1)
@@ -212,20 +210,20 @@ def _beside(corners: Array, distance: float) -> Array:
 
 
 def _largest(shell: Array) -> Array:
-    """Return the corners (1, 3, 3) of a shell's largest facet: where shells do not meet, one tells of all."""
+    """Return the corners (1, 3, 3) of a shell's largest facet, which represents the shell if shells do not meet."""
     area = np.linalg.norm(np.cross(shell[:, 1] - shell[:, 0], shell[:, 2] - shell[:, 0]), axis=1)
     return shell[area.argmax()][None]
 
 
 def _turns(parts: Sequence[Array], points: Array) -> Index:
-    """Return the winding number of all shells of a body about points, (n,)."""
+    """Return the winding number (n,) of all shells of a body about points."""
     return np.sum([winding(corners, points) for corners in parts], axis=0, dtype=np.int64)
 
 
 def _refuse_wrong_shells(parts: Shells, names: dict[int, str]) -> None:
     """Refuse a body with a shell that does not have glass behind it and air in front of it.
 
-    Shells that do not meet are wholly within or outside each other, so that one facet of each decides.
+    Shells that do not meet are wholly inside or outside each other, so one facet of each decides.
     """
     for i, own in parts.items():
         _refuse_shells_that_meet(own, names[i])
@@ -241,9 +239,9 @@ def _refuse_wrong_shells(parts: Shells, names: dict[int, str]) -> None:
 
 
 def _refuse_shells_that_meet(own: Sequence[Array], name: str) -> None:
-    """Refuse a body with a closed surface a part of which lies in another one, or on it, and a part does not.
+    """Refuse a body with a closed surface that lies partly in or on another one.
 
-    The edges of two surfaces that cut each other may all pass through edges, where `cut` takes them to touch.
+    The cut of two surfaces may run through edges only, which `cut` takes for contact.
     """
     outward = [_outward(shell) for shell in own]
     for k, shell in enumerate(outward):
@@ -265,13 +263,13 @@ def _refuse_shells_that_meet(own: Sequence[Array], name: str) -> None:
 
 
 def _outward(shell: Array) -> Array:
-    """Return a shell that faces outwards, that of a hollow turned over: its signed volume tells."""
+    """Return a shell that faces outwards, flipped if its signed volume is negative."""
     a, b, c = np.moveaxis(shell - shell.mean(axis=(0, 1)), 1, 0)
     return shell if (a * np.cross(b, c)).sum() > 0.0 else shell[:, ::-1]
 
 
 def _common_places(one: Array, other: Array) -> list[Array]:
-    """Return a place where facets of two shells lie on each other, too closely for rays to tell which comes first."""
+    """Return a place, if any, where facets of two shells lie too close for rays to tell which comes first."""
     middle = one.mean(axis=(0, 1))
     first, second = (
         Mesh((shell - middle).reshape(-1, 3), np.arange(3 * len(shell)).reshape(-1, 3)) for shell in (one, other)
@@ -281,7 +279,7 @@ def _common_places(one: Array, other: Array) -> list[Array]:
 
 
 def _too_close_mm(one: Mesh, other: Mesh) -> float:
-    """Return the distance up to which rays in float32 cannot tell apart which of two faces comes first."""
+    """Return the distance within which rays in float32 cannot order two faces."""
     both = np.concatenate([one.vertices, other.vertices])
     return AS_CLOSE * FLOAT32_GRAIN * float(np.abs(both).sum(axis=1).max() + np.ptp(both, axis=0).max())
 
@@ -293,7 +291,7 @@ def _boxes_overlap(one: tuple[Array, Array], other: tuple[Array, Array]) -> bool
 def _holders(
     parts: Shells, names: dict[int, str], priority: dict[int, int], rounds: dict[int, RoundBody]
 ) -> dict[int, set[int]]:
-    """Return the bodies of the same priority that enclose each body; refuse bodies that overlap otherwise."""
+    """Return the bodies of equal priority that enclose each body; refuse any other overlap."""
     holders: dict[int, set[int]] = {i: set() for i in parts}
     for i in parts:
         for j in parts:
@@ -315,9 +313,9 @@ def _holders(
 
 
 def _refuse_crowds(parts: Shells, names: dict[int, str], near: float) -> None:
-    """Refuse a body a part of whose surface lies in more bodies at once than packets can keep.
+    """Refuse a body if part of its surface lies in more bodies at once than packets can keep.
 
-    Where most bodies are at once, there is a part of the surface of one of them.
+    The place in the most bodies always touches the surface of one of them.
     """
     corners = {i: np.concatenate(own) for i, own in parts.items()}
     boxes = {i: _box(own) for i, own in parts.items()}
@@ -338,10 +336,10 @@ def _refuse_crowds(parts: Shells, names: dict[int, str], near: float) -> None:
 
 
 def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[int]) -> None:
-    """Refuse a target that lies on a face of glass so closely that rays cannot tell which comes first.
+    """Refuse a target so close to a face of glass that rays cannot tell which comes first.
 
-    A ray that leaves the glass looks for what is next from a little behind the face, and would miss the target. Of two
-    bodies of glass, only round ones are refused: facets of others that lie on each other are crossed as one.
+    A ray that leaves the glass searches on from slightly behind the face, and would miss the target. Pairs of glass
+    bodies are refused only if one is round: coincident facets are crossed as one.
     """
     boxes = np.array([target.box_mm for target in targets])
     middle = 0.5 * (boxes[:, 0].min(axis=0) + boxes[:, 1].max(axis=0))
@@ -359,7 +357,7 @@ def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[
             place, has_facets = None, True
             if one is not None and other is not None:
                 place = common_place(one, other, near)
-                # Flat ends are compared by their facets; a ball has none.
+                # Flat ends are compared by their facets; a sphere has none.
                 has_facets = not (isinstance(one.shape, Sphere) or isinstance(other.shape, Sphere))
             if place is None and has_facets:
                 place = common_area(targets[i].mesh, targets[j].mesh, near)
@@ -374,16 +372,9 @@ def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[
 
 
 def closed_gaps(scene: Scene, targets: list[TargetMesh]) -> list[str]:
-    """Describe the gaps between flat faces of glass that are taken to be closed, a line a pair of bodies.
+    """Describe, in a line per pair of bodies, the gaps between flat faces of glass that are treated as closed.
 
-    There are none at round bodies, between whose faces rays meet the air that is there. Faces that files meant to touch
-    differ by the rounding of float32; they are not named.
-
-    Parameters
-    ----------
-    scene : Scene
-    targets : list of TargetMesh
-        Of the scene, in order.
+    Round bodies have none. Faces that touch up to the rounding of float32 in their files are not listed.
     """
     bodies = [i for i, target in enumerate(scene.targets) if target.refractor is not None and targets[i].round is None]
     if len(bodies) < 2:
@@ -404,19 +395,12 @@ def closed_gaps(scene: Scene, targets: list[TargetMesh]) -> list[str]:
 
 
 def cut_bodies(scene: Scene, targets: list[TargetMesh]) -> list[str]:
-    """Describe the pairs of glass bodies that cut each other where facets stand for curved surfaces, a line a pair.
-
-    Parameters
-    ----------
-    scene : Scene
-    targets : list of TargetMesh
-        Of the scene, in order.
-    """
+    """Describe, in a line per pair, the glass bodies that cut each other with facets that represent curved surfaces."""
     bodies = {i: target.refractor for i, target in enumerate(scene.targets) if target.refractor is not None}
     lines = []
     for i, one in bodies.items():
         for j, other in bodies.items():
-            # Of the same priority they are refused.
+            # Bodies of the same priority are refused elsewhere.
             if j <= i or one.priority == other.priority or one.level == other.level == "flat":
                 continue
             if not boxes_meet(targets[i].mesh, targets[j].mesh, 0.0):
@@ -431,14 +415,14 @@ def cut_bodies(scene: Scene, targets: list[TargetMesh]) -> list[str]:
 
 
 def _cut_each_other(one: Mesh, other: Mesh) -> bool:
-    """Tell whether the surfaces of two bodies, neither of which cuts itself, cut each other."""
-    # Edges of equal bodies may meet exactly in each other's edges, which `cut` takes for contact.
+    """Tell whether the surfaces of two bodies cut each other; neither may cut itself."""
+    # Edges of equal bodies may meet exactly at each other's edges, which `cut` takes for contact.
     own, shell = (each.vertices[each.faces] for each in (one, other))
     return len(parts_in_shells(own, [shell], touching_mm([one, other]))[0]) > 1
 
 
 def _box(shells: Sequence[Array]) -> tuple[Array, Array]:
-    """Return the lowest and the highest coordinates of a body's shells, (3,) each."""
+    """Return the lowest and the highest corner of a body's shells, (3,) each."""
     low, high = np.transpose([(corners.min(axis=(0, 1)), corners.max(axis=(0, 1))) for corners in shells], (1, 0, 2))
     return low.min(axis=0), high.max(axis=0)
 
@@ -451,11 +435,11 @@ SHARES = {
     Pair.SECOND_INSIDE: (PART, WHOLE),
     Pair.CUT: (PART, PART),
 }
-"""Shares of two round bodies inside each other."""
+"""Share of each of two round bodies that lies inside the other."""
 
 
 def _share_inside(own: Sequence[Array], others: Sequence[Array]) -> int:
-    """Return how much of a body lies in the glass of another; `WHOLE` as soon as one of its closed surfaces does."""
+    """Return the share of a body in the glass of another: `WHOLE` as soon as one of its closed surfaces is inside."""
     low, high = _box(others)
     glass, share = np.concatenate(others), NOTHING
     for shell in own:
@@ -465,7 +449,7 @@ def _share_inside(own: Sequence[Array], others: Sequence[Array]) -> int:
             continue
         inside = parts_in_shells(shell, [glass], near)[0][:, 0]
         if not len(inside):
-            # All of it lies on the other's surface: on the same side everywhere.
+            # The shell coincides with the other's surface and lies on one side of it everywhere.
             inside = _turns(others, set_back(_largest(shell), near).mean(axis=1)) != 0
         if inside.all():
             return WHOLE

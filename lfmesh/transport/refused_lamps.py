@@ -1,4 +1,4 @@
-"""Refuse bodies of glass in object space round the camera or a lamp, both of which must stand in air."""
+"""Refuse bodies of glass in object space round the camera or a lamp; both must stand in air."""
 
 import numpy as np
 
@@ -16,20 +16,20 @@ Bodies = dict[int, TargetMesh]
 
 
 def refuse_camera_and_lamps_inside(scene: Scene, bodies: Bodies, front: Array) -> None:
-    """Refuse glass that encloses the camera's first surface, a lamp or a part of one.
+    """Refuse glass that encloses the camera's first surface, a lamp or part of a lamp.
 
     Parameters
     ----------
     scene : Scene
     bodies : dict of TargetMesh
-        The first of several that hold a point is named.
+        Bodies of glass; the error names the first one that holds a point.
     front : (n, 3) float64, mm
         Points of the camera's first surface, world frame.
 
     Raises
     ------
     SceneError
-        Naming the body.
+        Names the body.
     """
     body = _holding(bodies, front)
     if body is not None:
@@ -44,7 +44,7 @@ def refuse_camera_and_lamps_inside(scene: Scene, bodies: Bodies, front: Array) -
 
 
 def _reaches(box: Array, region: Region | None) -> bool:
-    """Tell whether a lamp may reach into a box, given by its lowest and highest coordinates (2, 3)."""
+    """Tell whether a lamp may reach into a box, given by its lowest and highest corner (2, 3)."""
     if region is None:
         return False
     (low, high), middle, size = box, region.centre_mm, region.size_mm
@@ -52,7 +52,7 @@ def _reaches(box: Array, region: Region | None) -> bool:
 
 
 def _refuse_lamp_inside(scene: Scene, bodies: Bodies, number: int, light: Light) -> None:
-    """Refuse a lamp in glass, with its middle or with any part of it: then a surface of the glass passes through it."""
+    """Refuse a lamp with its middle in glass, or with a surface of glass passing through it."""
     region = light.region
     if region is None:
         return
@@ -67,15 +67,15 @@ def _refuse_lamp_inside(scene: Scene, bodies: Bodies, number: int, light: Light)
 
 
 def _encloses(body: TargetMesh, place: Array) -> bool:
-    """Tell whether a body holds a lamp's middle (3,), mm. One on its surface, to rounding, is moved off it later."""
+    """Tell whether a body holds a lamp's middle (3,), mm; a lamp on its surface, to rounding, is moved off later."""
     grain = FLOAT32_GRAIN * float(np.abs(place).sum())
     return bool(body.holds(place[None]).any()) and body.distance_mm(place) > grain
 
 
 def _meets(body: TargetMesh, region: Region) -> bool:
-    """Tell whether a lamp with a size, whose middle is outside a body, reaches into its glass, deeper than contact.
+    """Tell whether an extended lamp, its middle outside a body, reaches into the glass deeper than contact.
 
-    A round body is taken as a mesh that encloses it, 7e-4 of its radius larger at most.
+    A round body is represented by an enclosing mesh, at most 7e-4 of its radius larger.
     """
     mesh = body.mesh if body.round is None else body.round.hull(RINGS)
     facets = mesh.vertices[mesh.faces]
@@ -85,17 +85,17 @@ def _meets(body: TargetMesh, region: Region) -> bool:
     deep = CUT * min(float((high - low).max()), region.size_mm)
     ends = region.corners_mm
     if len(ends) == 2:
-        # Whether the line is in glass changes only where it meets the surface.
+        # The line enters and leaves the glass only at its crossings with the surface.
         shares, inside = crossings(facets, *ends)
         places = np.unique([0.0, *shares[inside], 1.0])
         middles = 0.5 * (places[1:] + places[:-1])[np.diff(places) * region.size_mm > deep]
         return bool(body.holds(ends[0] + middles[:, None] * (ends[1] - ends[0])).any())
-    # Facets that pass through the plane of the lamp, and the segments in which they do.
+    # Facets that pass through the plane of the lamp, and their segments in it.
     normal = np.cross(*region.half_mm)
     height = (facets - region.centre_mm) @ (normal / np.linalg.norm(normal))
     passes = (height.min(axis=1) < -deep) & (height.max(axis=1) > deep)
     facets, height = facets[passes], height[passes]
-    # The corner that is alone on its side comes first: both edges from there meet the plane.
+    # Put the corner alone on its side first: both edges from it meet the plane.
     above = height > 0.0
     alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
     order = (alone[:, None] + np.arange(3)) % 3
@@ -110,5 +110,5 @@ def _meets(body: TargetMesh, region: Region) -> bool:
 
 
 def _holding(bodies: Bodies, points: Array) -> int | None:
-    """Return the body that any of the points lies in; of several the one that comes first."""
+    """Return the first body that holds any of the points."""
     return next((i for i, body in bodies.items() if body.holds(points).any()), None)

@@ -1,4 +1,4 @@
-"""The built scene: meshes, Embree scenes, and the tables that kernels read."""
+"""Built scene: meshes, Embree scenes, and the tables for kernels."""
 
 from collections.abc import Callable
 from copy import copy
@@ -73,7 +73,7 @@ if TYPE_CHECKING:
 
 
 class Bodies(NamedTuple):
-    """Bodies that meshes are made from."""
+    """Source bodies of the meshes."""
 
     lens: LensShape
     targets: list[TargetMesh]
@@ -81,25 +81,25 @@ class Bodies(NamedTuple):
 
 
 class World(Shown):
-    """A scene that rays can be traced through. Made by `build`.
+    """Scene that rays can be traced through, made by `build`.
 
-    It is pickled as its scene, and built again from that.
+    It is pickled as its scene and rebuilt from it.
 
     Parameters
     ----------
     scene, report, tables, finders, book, bodies, particles, find_aim, how
-        What `build` finds, and no one else has to give.
+        Internal results of `build`.
 
     Attributes
     ----------
     scene : Scene
-        With its lens solved.
+        Scene with its lens solved.
     facts : FirstOrder
-        The first-order report without its warnings.
+        First-order report without its warnings.
     tables : Tables
-        As kernels read them, without an aim: rays are sent all over the lens.
+        Tables for kernels, without an aim: rays are sent all over the lens.
     warnings : tuple of PictureWarning
-        What may be wrong with every ray through it, of which `build` has warned.
+        Possible errors of any ray through it, as warned of by `build`.
     """
 
     def __init__(
@@ -118,17 +118,17 @@ class World(Shown):
         self.lines = Lines.of(scene)
         self.particles = particles
         self.kept: dict[str, Any] = {}
-        """Findings of renders that no seed changes, by name; shared with all `reseeded` copies."""
+        """Seed-independent results of renders, by name; shared with all `reseeded` copies."""
         self._find_aim = find_aim
         self._how = how
-        """Keywords of `build` by which it was built from its scene."""
+        """Keywords given to `build`."""
         self.warnings: tuple[PictureWarning, ...] = ()
         self._key: Key | None = None
-        """From what it was built, see `built.key_of`; None where that changed meanwhile."""
+        """Key of its inputs, see `built.key_of`; None if they changed meanwhile."""
         self._said: tuple[Warning, ...] = ()
         """All warnings of `build`."""
         self._untouched: World | None = None
-        """Copy that renders take while this world lives, whatever its owner does to it."""
+        """Copy for renders, unaffected by its owner's changes to this world."""
 
     def __repr__(self) -> str:
         bodies = len(self.scene.targets), len(self.scene.lights)
@@ -152,22 +152,22 @@ class World(Shown):
 
     @property
     def first_order(self) -> FirstOrder:
-        """The first-order report."""
+        """First-order report."""
         return solved_camera(self.scene).report
 
     @cached_property
     def aim(self) -> AimTables:
-        """Aim of rays that have to pass the lens, found when first asked for: given rays need none."""
+        """Aim of rays that have to pass the lens, found on first use."""
         return self._aim_and_proof[0]
 
     @property
     def aim_proof(self) -> AimProof | None:
-        """Share of light outside the aim, as rays from the stop measure it; None for a world without aim."""
+        """Share of light outside the aim, measured by rays from the stop; None for a world without aim."""
         return self._aim_and_proof[1]
 
     @property
     def ghosts(self) -> GhostTables | None:
-        """Sequences of the camera's ghosts, and how they are drawn; None where they are not followed by sequence."""
+        """Sequences of the camera's ghosts, and how they are drawn; None if they are not followed by sequence."""
         if "ghosts" not in self.kept:
             self.kept["ghosts"] = self._ghosts()
         found: GhostTables | None = self.kept["ghosts"]
@@ -175,15 +175,15 @@ class World(Shown):
 
     def _ghosts(self) -> GhostTables | None:
         if self.tables.mla.apertures is not None:
-            # Sequences know no random numbers.
+            # Sequences have no random numbers.
             return None
-        # Media are left out, so that their images and the projection matrix of such a medium have the same rays.
+        # Media are left out, so that a medium's image and its projection matrix use the same rays.
         boxes = np.array([target.box_mm for target in self.targets]) if self.targets else None
         return ghost_tables(self.aimed_tables, boxes, self.scene.transport.max_events)
 
     @property
     def aimed_tables(self) -> Tables:
-        """The tables with the aim."""
+        """Tables with the aim."""
         return self.tables._replace(aim=self.aim)
 
     def reseeded(self, seed: int) -> "World":
@@ -198,7 +198,7 @@ class World(Shown):
         World
         """
         scene = self.scene.changed({"transport.seed": seed})
-        # The aim does not depend on the seed: found here, it is found once for all copies.
+        # The aim does not depend on the seed: find it once for all copies.
         _ = self._aim_and_proof
         world = copy(self)
         world.scene = scene
@@ -206,7 +206,7 @@ class World(Shown):
 
     @cached_property
     def surroundings(self) -> Surroundings:
-        """Bounds of lens, housing and targets, for rays that need not ask Embree."""
+        """Bounds of lens, housing and targets, for rays that can do without Embree."""
         targets = [target.hull for target in self.targets]
         return surroundings_of(self.tables.lens, self.lens_shape, self.housing, targets, self.tables.frames)
 
@@ -217,7 +217,7 @@ class World(Shown):
 
     @property
     def mesh_names(self) -> list[str]:
-        """Names that `mesh` takes: "lens[0]", ..., "mount", "stop", "mla", "sensor", "housing", "targets[0]", ..."""
+        """Names for `mesh`: "lens[0]", ..., "mount", "stop", "mla", "sensor", "housing", "targets[0]", ..."""
         names = [f"lens[{i}]" for i in range(len(self.lens_shape.elements))]
         names += ["mount"] if self._mounts() else []
         names += ["stop"] + (["mla"] if self.tables.mla.present else []) + ["sensor", "housing"]
@@ -226,8 +226,8 @@ class World(Shown):
     def mesh(self, name: str) -> "trimesh.Trimesh":
         """Return a body as a mesh in the world frame, mm.
 
-        Lens elements and the array are closed solids with outward normals. Cemented elements are separate solids; for
-        rays, the interface that they share is a single mesh.
+        Lens elements and the array are closed solids with outward normals. Cemented elements are separate solids,
+        although rays see one shared interface.
 
         Parameters
         ----------
@@ -262,7 +262,7 @@ class World(Shown):
         return makers[kind]()
 
     def surface_name(self, number: int) -> str:
-        """Return the name of the surface that a recorded vertex gives by number.
+        """Return the name of a surface from its number in a recorded vertex.
 
         Parameters
         ----------
@@ -322,9 +322,9 @@ class World(Shown):
 
 
 def book_of(scene: Scene, shape: LensShape) -> Book:
-    """Return the book of a scene: its slots for lens elements, targets, spaces between lens surfaces, and coatings.
+    """Return the book of a scene, with slots for lens elements, targets, spaces between lens surfaces, and coatings.
 
-    The spaces are the air or medium before the lens, glass and air inside it, and the air behind it.
+    The spaces are the air or medium before the lens, the glass and air inside it, and the air behind it.
     """
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
     before = "air" if shape.media[0] is None else "medium"
@@ -340,7 +340,7 @@ def book_of(scene: Scene, shape: LensShape) -> Book:
 
 
 def _refuse_rough_patches(scene: Scene, shape: LensShape, interfaces: InterfaceTables) -> None:
-    """Refuse rough faces of lens and array of which light that runs along them might not find a way out."""
+    """Refuse rough curved patches of lens and array: light running along them might not escape."""
     curved = "smooth", "patch"
     lens = shape.surfaces["level"][interfaces.lens.rows["kind"] >= ROUGH]
     if np.isin(lens, [SURFACE_LEVEL[name] for name in curved]).any():
@@ -356,7 +356,7 @@ def _refuse_rough_patches(scene: Scene, shape: LensShape, interfaces: InterfaceT
 
 
 def _rebuilt(scene: Scene, how: dict[str, Any]) -> World:
-    """Build a scene again, as it was built."""
+    """Build a scene again in the same way."""
     return build(scene, **how)
 
 
@@ -366,12 +366,12 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     Parameters
     ----------
     scene : Scene
-        Open distances are solved and files read first. `lf.render(scene, world=world)` takes the world; so does
-        `lf.render(scene)`, while scene and files stay as they are.
+        Open distances are solved and files read first. `lf.render(scene, world=world)` uses the world; so does
+        `lf.render(scene)` while scene and files are unchanged.
     rings : int, optional
         Number of rings of triangles on each lens surface, in place of the scene's tessellation.
     aimed : bool
-        Find out where rays have to go to pass the lens, when that is first needed. If not, they are sent all over it.
+        Find, on first use, the directions in which rays pass the lens. If False, rays are sent all over the lens.
 
     Returns
     -------
@@ -380,14 +380,14 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     Warns
     -----
     ClosedGapWarning
-        Faces of glass are so close that they are taken to touch.
+        Faces of glass are so close that they are treated as touching.
     CutBodiesWarning
         Curved bodies of glass cut each other.
 
     Raises
     ------
     SceneError, MeshError, FileError
-        The scene cannot be built: rims that cross, a mesh or texture that cannot be used, a target inside the camera.
+        The scene cannot be built: crossing rims, an unusable mesh or texture, a target inside the camera.
     """
     key = key_of(scene)
     let_go(key)
@@ -404,7 +404,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
 
 
 def world_of(scene: Scene, given: World | None = None) -> World:
-    """Return a built world of a scene: the one that is given, or one that this process has built, or a new one.
+    """Return a world of a scene: the given one, one already built in this process, or a new one.
 
     Parameters
     ----------
@@ -414,7 +414,7 @@ def world_of(scene: Scene, given: World | None = None) -> World:
     Raises
     ------
     LfmeshError
-        The world that is given was built from another scene, or the scene cannot be built.
+        The given world was built from another scene, or the scene cannot be built.
     """
     if given is not None:
         refuse_other(given, given._key, scene)
@@ -469,10 +469,10 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
     diffracting = with_diffraction(scene, mla, wavelengths_nm)
     stopped = with_diffracting_stop(scene, lens, wavelengths_nm)
-    # Absorption weakens light, and does not change where it has to go.
+    # Absorption weakens light but does not change its path.
     anywhere = unaimed(scene, clear(lens))
 
-    # A world and the copy of it that renders take share what is found.
+    # A world and its copy for renders share the result.
     @cache
     def find_aim() -> tuple[AimTables, AimProof | None]:
         if not aimed:

@@ -262,7 +262,7 @@ def add_shape(tree: Path) -> None:
     put(tree, surface, "    ]\n)\n\nNEWTON_STEPS", '("twist", "f8"),', 8)
     put(tree, surface, "    if of.toroid is not None:\n        record", fills, 4)
     put(tree, surface, "    if s.kind == TOROID:\n", height, 4)
-    put(tree, bounds, "    # Out from the axis a biconic rises", heights, 4)
+    put(tree, bounds, "    # Outward from the axis a biconic is", heights, 4)
     put(tree, bounds, '    if surface["kind"] == BICONIC:\n        return extremes', bends, 4)
     change(tree, bounds, ("import BICONIC, TOROID, is_revolved", "import BICONIC, SADDLE, TOROID, is_revolved"))
 

@@ -199,7 +199,7 @@ def test_a_pipe_that_is_written_to_is_refused_too(tmp_path: Path) -> None:
 
 OWN = {
     "regular_file.py",
-    *["optics/cie.py", "optics/rgb_spectra.py"],  # tables that come with lfmesh
+    *["cli/lens.py", "optics/cie.py", "optics/rgb_spectra.py"],  # tables that come with lfmesh
     *["kernels/cache.py", "view/browser/page.py", "view/browser/sessions.py", "view/output/html.py"],  # our own files
     *[
         "geometry/files/cad_file.py",

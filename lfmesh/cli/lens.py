@@ -8,7 +8,6 @@ from cyclopts import App, Parameter
 from lfmesh.assets import asset_path
 from lfmesh.cli.application import app
 from lfmesh.errors import LfmeshError
-from lfmesh.regular_file import read_text
 from lfmesh.wrapping import wrapped
 
 INDEX = "lenses/index.txt"
@@ -25,7 +24,7 @@ def list_lenses() -> int:
     In a scene file: [camera.lens] file = "lib:cooke_triplet_50mm".
     """
     # Not from the lens files: loading them, their glasses and all scene models takes a second.
-    for line in read_text(asset_path(INDEX)).splitlines():
+    for line in asset_path(INDEX).read_text(encoding="utf-8").splitlines():
         print(wrapped(line))
     return 0
 

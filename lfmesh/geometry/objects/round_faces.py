@@ -157,12 +157,12 @@ def round_finder(is_met: Any) -> Any:
 
 
 @inlined
-def _any_way(state: Any, number: int, t: float, along: float) -> bool:
+def _always(state: Any, number: int, t: float, along: float) -> bool:
     """Accept every face."""
     return True
 
 
-first_round = round_finder(_any_way)
+first_round = round_finder(_always)
 """Finder of the first face, regardless of the light's behaviour there; `state` is unused."""
 
 

@@ -98,7 +98,7 @@ def _seen_places(
     eye : (4,) float64
         Vertex of the lens, mm, and the weight of irradiance at the eye relative to irradiance at a place.
     """
-    far = facts.object_distance_mm if np.isfinite(facts.object_distance_mm) else FAR_FOCUS * abs(facts.efl_mm)
+    far = _distance_mm(facts)
     width, height = half_field_mm(-far, facts)
     steps = (2.0 * np.arange(ACROSS) + 1.0) / ACROSS - 1.0
     x, y = np.meshgrid(width * steps, height * steps)
@@ -116,6 +116,12 @@ def _seen_places(
     per_ray = 4.0 * width * height / (len(ends) * far * far)
     of_eye = np.pi / per_ray * len(some) / max(len(seen), 1)
     return starts[some] + t[some, None] * d[some], facing, np.append(starts[0], of_eye)
+
+
+def _distance_mm(facts: FirstOrder) -> float:
+    """Return the distance of the plane at which the field is taken."""
+    focused = facts.object_distance_mm
+    return focused if np.isfinite(focused) else FAR_FOCUS * abs(facts.efl_mm)
 
 
 def _emitting(objects: ObjectTables, sources: NDArray[np.void]) -> NDArray[np.void]:
@@ -177,7 +183,7 @@ def _in_field(emitting: NDArray[np.void], facts: FirstOrder, frames: Array) -> N
     """Return a mask of the emitters in the field."""
     x, y, z = frame.points(frames[OBJECT_FRAME, CAMERA_FRAME], emitting["middle"]).T
     # The edges of the field are straight beyond the focal plane; nearer, a wider field does no harm.
-    far = facts.object_distance_mm if np.isfinite(facts.object_distance_mm) else FAR_FOCUS * abs(facts.efl_mm)
+    far = _distance_mm(facts)
     planes = np.array([0.0, far, 2.0 * far])
     width, height = np.transpose([half_field_mm(-float(plane), facts) for plane in planes])
     half = [np.interp(-z, planes, each) * np.maximum(-z / planes[-1], 1.0) for each in (width, height)]

@@ -31,7 +31,7 @@ def compare(
     steps: Annotated[Whole, Parameter(help="Distances at which sharpness is measured; odd.")] = 13,
     overrides: Overrides | None = None,
 ) -> int:
-    """Take a scene with a conventional, a standard and a focused plenoptic camera, and measure what each can do.
+    """Picture a scene with a conventional, a standard and a focused plenoptic camera, and compare the results.
 
     They have the same lens, sensor and samples; the scene is that of the standard one.
     """

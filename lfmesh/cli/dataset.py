@@ -40,7 +40,7 @@ def dataset(
 ) -> int:
     """Render many scenes drawn from one template: raw image, views, true depth and camera of each.
 
-    What is finished is kept whatever happens; the same command goes on. Exits with 1 if an item could not be made.
+    Finished items are kept; the same command continues. Exits with 1 if an item could not be made.
     """
     with defer_interrupt():
         from lfmesh.study.datasets.dataset import Dataset

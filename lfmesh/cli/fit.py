@@ -61,8 +61,8 @@ def fit(
 ) -> int:
     """Estimate the assembly errors of a real camera from its white image: fitted.toml, fit.json, residuals.png.
 
-    Pictures are linear in light. What a white image cannot tell apart is kept as in the scene, and reported together.
-    With boards, focus and poses are fitted to their corners: board_residuals.png.
+    Pictures are linear in light. Quantities that a white image cannot tell apart keep the scene's values, and are
+    reported together. With boards, focus and poses are fitted to their corners: board_residuals.png.
     """
     further = dict(map(_further, also or []))
     if not board and (square_mm, grid) != (None, None):

@@ -55,7 +55,7 @@ def study(
 ) -> int:
     """Compare many cameras with a reference: table.csv, report.html and a log in a folder.
 
-    What is finished is kept whatever happens; the same command goes on. Exits with 1 if a point could not be traced.
+    Finished points are kept; the same command continues. Exits with 1 if a point could not be traced.
     """
     if template is not None:
         return _write_template(template, study, out)

@@ -17,6 +17,7 @@ from lfmesh.optics.share_table import coated_shares
 from lfmesh.transport.events.crossing import BOUNCE_U, CHOOSE, draw, draw_two, record_interface, split_shares
 from lfmesh.transport.events.ground import ground_density, ground_direction
 from lfmesh.transport.events.polarisation import become_child
+from lfmesh.transport.packets.children import IN_DENSITY, IN_WALK
 from lfmesh.transport.packets.packet import (
     CAMERA,
     E_REFLECTED,
@@ -34,10 +35,6 @@ from lfmesh.transport.tables.tables import ABSORBING, BARE, DIFFUSE, ROUGH, THIN
 
 Array = NDArray[np.float64]
 Direction = tuple[float, float, float]
-
-IN_WALK, IN_DENSITY = 1 << 21, 1 << 22
-"""Plus the number of the event: numbers of the keys of random walks between facets. For the other keys derived from a
-packet's key, see `regions.targets.AIMED_CHILD` and the number of events itself."""
 
 
 @inlined

@@ -26,15 +26,13 @@ from lfmesh.optics.diffraction import (
     proposed_in_tail,
     rhombus_frequency,
 )
+from lfmesh.transport.packets.children import IN_KICK
 from lfmesh.transport.packets.packet import PixelSamples, sample_of
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.packets.sobol import owen_sobol
 from lfmesh.transport.tables.tables import Apertures
 
 Array = NDArray[np.float64]
-
-IN_KICK = 1 << 23
-"""Plus the number of the event: number of the key of a change of direction; see `interface.IN_WALK`."""
 
 KICK_U, KICK_V = 6, 7
 """Dimensions of the starting numbers that give the first change of direction of a pixel's sample."""

@@ -9,6 +9,7 @@ from lfmesh.geometry.objects.round_faces import place_in_picture, point_at, roun
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.facets import barycentric
 from lfmesh.transport.events.scattering import Point, emissivity, is_hot
+from lfmesh.transport.packets.children import EMITTED
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.tables.tables import AIR, BY_ALPHA, ObjectTables
 from lfmesh.transport.tables.varied_gloss import drawn_model
@@ -17,9 +18,6 @@ Array = NDArray[np.float64]
 
 VARIED = 1 << 40
 """Offset, in a packet's key, of the first facet's random numbers for its scattering model."""
-
-EMITTED = 1 << 24
-"""Offset, in a packet's key, of the random numbers of emission."""
 
 
 @inlined

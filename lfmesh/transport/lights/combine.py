@@ -39,6 +39,7 @@ from lfmesh.transport.lights.single_scatter import density as density_past_lamp
 from lfmesh.transport.lights.single_scatter import gather as gather_past_lamp
 from lfmesh.transport.lights.single_scatter import is_asked as single_scatter_is_asked
 from lfmesh.transport.lights.single_scatter import sample as sample_past_lamp
+from lfmesh.transport.packets.children import IN_MEDIUM, TOWARDS_MEDIA, TOWARDS_SCATTERED
 from lfmesh.transport.packets.packet import (
     IN_FOG,
     LIGHTS,
@@ -55,12 +56,6 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.tables.tables import ObjectTables
-
-TOWARDS_MEDIA, TOWARDS_SCATTERED = 1 << 22, 1 << 23
-"""Numbers of a packet key's children that give the random numbers of rays to emitting media and past lamps."""
-
-IN_MEDIUM = 1 << 21
-"""The same for a packet's path through media."""
 
 NEAR = 0.125
 """Distance of a lamp from a line, over the length on which the line scatters light, below which the lamp is near."""

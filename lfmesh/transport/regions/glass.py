@@ -29,6 +29,7 @@ from lfmesh.transport.lights.lamps import sample as sample_lamp
 from lfmesh.transport.lights.many_lamps import NO_NORMAL, lamps_to_ask
 from lfmesh.transport.lights.shadow import send
 from lfmesh.transport.packets.book import LOST_CONTRADICTION, SAMPLING_ADDED, SAMPLING_REMOVED
+from lfmesh.transport.packets.children import AIMED_CHILD
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
@@ -45,7 +46,6 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.paths.automaton import counts
-from lfmesh.transport.regions.targets import AIMED_CHILD
 from lfmesh.transport.tables.tables import AIR, Interfaces, ObjectTables, body_row
 
 Array = NDArray[np.float64]

@@ -36,6 +36,7 @@ from lfmesh.transport.events.surface import emitted_radiance, opacity_at, point_
 from lfmesh.transport.lights.combine import ask_lamps, has_asked, share_of_scattered, wait_for_lights
 from lfmesh.transport.lights.emitting_facets import density as density_to_facet
 from lfmesh.transport.packets.book import ESCAPED, LIT, REACHED, SAMPLING_ADDED, SAMPLING_REMOVED
+from lfmesh.transport.packets.children import AIMED_CHILD
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
@@ -65,9 +66,6 @@ FACETS = 1 << 32
 
 KINDS = 8
 """Number of kinds of packets; shadow packets to each kind of light come last."""
-
-AIMED_CHILD = 1 << 20
-"""Offset of the aimed child among a packet's children, larger than any number of events."""
 
 
 @inlined

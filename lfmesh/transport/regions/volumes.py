@@ -25,9 +25,10 @@ from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.events.scattering_point import scattering_point
 from lfmesh.transport.events.volume import Line, pass_through
-from lfmesh.transport.lights.combine import IN_MEDIUM, ask_lamps_on_line, has_asked, share_of_scattered, wait_for_lights
+from lfmesh.transport.lights.combine import ask_lamps_on_line, has_asked, share_of_scattered, wait_for_lights
 from lfmesh.transport.lights.media_emitters import density as density_to_media
 from lfmesh.transport.packets.book import SAMPLING_ADDED, SAMPLING_REMOVED
+from lfmesh.transport.packets.children import IN_MEDIUM
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,

@@ -153,7 +153,7 @@ class Workspace:
         memory: T = self._kept[kind]
         return memory
 
-    def begin(self, film: FilmRows | None = None, packets: int = 0) -> None:
+    def begin(self, film: FilmRows | None = None, packets: int = 0, samples: int = 0) -> None:
         """Clear the book and make room for the next chunk.
 
         Parameters
@@ -161,7 +161,9 @@ class Workspace:
         film : FilmRows, optional
             Adjoint: film that receives the light.
         packets : int
-            Number of packets to start.
+            Number of packets to start at once.
+        samples : int
+            Number of samples of the film's pixels, if more.
         """
         self.tops[:] = 0
         pixels = self.options.pixels._replace(each=0)
@@ -170,13 +172,13 @@ class Workspace:
         if film is not None:
             self.film, self.hits = film.power, film.hits
             pixels = pixels._replace(first_source=film.origin)
-            if packets > len(self.counted):
-                self.counted = np.zeros(packets, np.uint8)
-            self.counted[:packets] = 0
+            samples = max(samples, packets)
+            if samples > len(self.counted):
+                self.counted = np.zeros(samples, np.uint8)
+            self.counted[:samples] = 0
         self.embree_seconds = 0.0
         self.queries = 0
         self.options = self.options._replace(pixels=pixels)
-        # A pixel with more samples than a chunk is still started in one piece.
         self.stacks.make_room(max(self.chunk, packets))
         self._reserve(max(self.chunk, packets))
 

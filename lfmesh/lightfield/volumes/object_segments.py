@@ -86,7 +86,7 @@ def object_segments(work: Workspace, part: Part) -> Segments:
     try:
         return _followed(work, counts)
     finally:
-        work.options = options
+        work.options, work.tops[ENDED] = options, 0
 
 
 def _onward(options: Options) -> Options:

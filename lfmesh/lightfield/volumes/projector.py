@@ -252,11 +252,12 @@ class Projector:
             samples = part.samples(self.tracer.samples)
             source = PixelSource(pixels, samples, stream, lines.nodes[self.channel], channel=0)
             for some in source.parts(CHUNK):
-                work = self._launchers[part.number].launch(source, some)
-                segments = object_segments(work, part)
-                book += part.booked(work.book)[OWN_BOOK]
-                power = np.where(segments.place == self._place, self._power[segments.colour], 0.0)
-                yield segments._replace(weight=segments.weight * power)
+                launcher = self._launchers[part.number]
+                for work in launcher.launches(source, some):
+                    segments = object_segments(work, part)
+                    power = np.where(segments.place == self._place, self._power[segments.colour], 0.0)
+                    yield segments._replace(weight=segments.weight * power)
+                book += part.booked(launcher.workspace.book)[OWN_BOOK]
 
 
 def _place_of(world: World, inside: str | None) -> int:

@@ -6,7 +6,8 @@ gain (n_i/n_t)² at each. The pixel lies in air, so these factors multiply to 1/
 They are omitted, and the light is divided by n² instead.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -108,6 +109,8 @@ class PixelSource(Source):
         Column of the film that receives the light. Default: that of the first wavelength.
     turn : Turn
         Turn of the replicate in its group; the key belongs to the group.
+    some : range, optional
+        Samples of each pixel that start. Default: all.
     """
 
     pixels: NDArray[np.int64]
@@ -117,14 +120,20 @@ class PixelSource(Source):
     stratified: bool = True
     channel: int | None = None
     turn: Turn = ALONE
+    some: range | None = None
 
     def __len__(self) -> int:
         return len(self.pixels)
 
     @property
     def each(self) -> int:
-        """Samples per pixel."""
-        return self.samples
+        """Samples per pixel that start."""
+        return self.samples if self.some is None else len(self.some)
+
+    def pieces(self, chunk: int) -> Iterator[Source]:
+        """Yield sources of at most `chunk` samples of each pixel."""
+        for first in range(0, self.samples, chunk):
+            yield self if self.samples <= chunk else replace(self, some=range(self.samples)[first : first + chunk])
 
     def launch(self, work: Workspace, part: range) -> None:
         """Start the samples of some of the pixels."""
@@ -134,7 +143,7 @@ class PixelSource(Source):
             into = into._replace(stream=self.key, each=self.samples, first=self.turn.first, step=self.turn.step)
         work.options = work.options._replace(pixels=into)
         pixels = self.pixels[part.start : part.stop]
-        for colour, entries in entries_of_pixels(self.nodes, pixels, self.samples, self.key, self.turn):
+        for colour, entries in entries_of_pixels(self.nodes, pixels, self.samples, self.key, self.turn, self.some):
             self._launch(work, entries, colour)
         if work.tables.cover is not None:
             # Without a cover a pixel's light meets the array first, or the lens.

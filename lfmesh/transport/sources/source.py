@@ -46,6 +46,13 @@ class Source(ABC):
         for first in range(0, len(self), step):
             yield range(first, min(first + step, len(self)))
 
+    def pieces(self, chunk: int) -> "Iterator[Source]":
+        """Yield sources of the same items that together start their packets, each some of every item's.
+
+        Sources whose items may each start more than `chunk` packets override this.
+        """
+        yield self
+
 
 class Launcher:
     """Tracer of sources; each thread has its own workspace.
@@ -74,14 +81,14 @@ class Launcher:
         Parameters
         ----------
         source, part, film
-            See `launch`.
+            See `launches`.
         """
-        work = self.launch(source, part, film)
-        work.run()
-        return work
+        for work in self.launches(source, part, film):
+            work.run()
+        return self.workspace
 
-    def launch(self, source: Source, part: range | None = None, film: FilmRows | None = None) -> Workspace:
-        """Queue the packets of a source, or a part of it; return the workspace, ready to run.
+    def launches(self, source: Source, part: range | None = None, film: FilmRows | None = None) -> Iterator[Workspace]:
+        """Queue the packets of a source, or a part of it; yield the workspace, ready to run, for each of its pieces.
 
         Parameters
         ----------
@@ -92,11 +99,13 @@ class Launcher:
             Adjoint: film that receives the light.
         """
         work, part = self.workspace, range(len(source)) if part is None else part
-        work.begin(film, len(part) * source.each)
-        source.launch(work, part)
-        if work.options.record:
-            work.record_starts()
-        return work
+        pieces = list(source.pieces(work.chunk))
+        work.begin(film, len(part) * max(piece.each for piece in pieces), len(part) * source.each)
+        for piece in pieces:
+            piece.launch(work, part)
+            if work.options.record:
+                work.record_starts()
+            yield work
 
     def traced(
         self, source: Source, keep: Callable[[Workspace, range], T], threads: int = 0, chunk: int = CHUNK

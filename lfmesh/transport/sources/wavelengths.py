@@ -40,7 +40,7 @@ class Entries(NamedTuple):
 
 
 def entries_of_pixels(
-    nodes: Nodes, pixels: Numbers, samples: int, key: np.uint64, turn: Turn = ALONE
+    nodes: Nodes, pixels: Numbers, samples: int, key: np.uint64, turn: Turn = ALONE, some: range | None = None
 ) -> Iterator[tuple[int, Entries]]:
     """Yield the samples of pixels by wavelength, with their column.
 
@@ -55,20 +55,23 @@ def entries_of_pixels(
     key : uint64
         Random key.
     turn : Turn
+    some : range, optional
+        Consecutive samples of each pixel. Default: all.
     """
+    some = range(samples) if some is None else some
     if len(nodes.until) == 1:
         place = np.arange(len(pixels))
-        yield nodes.first, Entries(pixels, place, np.zeros_like(place), np.full_like(place, samples), turn)
+        yield nodes.first, Entries(pixels, place, np.full_like(place, some.start), np.full_like(place, len(some)), turn)
         return
-    places = (turn.first + np.arange(samples) * turn.step) / (samples * turn.step)
+    places = (turn.first + np.arange(some.start, some.stop) * turn.step) / (samples * turn.step)
     columns = nodes.columns((places + wavelength_numbers(key, pixels)[:, None]) % 1.0)
     fresh = np.ones(columns.shape, np.bool_)
     fresh[:, 1:] = columns[:, 1:] != columns[:, :-1]
     place, begin = np.nonzero(fresh)
     taken = np.diff(np.flatnonzero(fresh), append=columns.size)
-    for some in _alike(columns[place, begin]):
-        column = int(columns[place[some[0]], begin[some[0]]])
-        yield column, Entries(pixels[place[some]], place[some], begin[some], taken[some], turn)
+    for alike in _alike(columns[place, begin]):
+        column = int(columns[place[alike[0]], begin[alike[0]]])
+        yield column, Entries(pixels[place[alike]], place[alike], some.start + begin[alike], taken[alike], turn)
 
 
 def order_of_particles(

@@ -11,6 +11,7 @@ from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import BY_MESH, OBJECTS, PACKET, STATIONS
 from lfmesh.transport.packets.random import run_key
+from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.pixels import PixelSource
@@ -88,6 +89,20 @@ def test_parts_are_whole_things_and_about_a_chunk() -> None:
     source = pixels()
     assert [len(part) * source.each for part in source.parts(4 * SAMPLES + 3)] == [4 * SAMPLES] * 9
     assert list(source.parts(1)) == [range(i, i + 1) for i in range(PIXELS)]
+
+
+def test_samples_beyond_a_chunk_bring_the_same_light_in_less_memory(world: lf.World) -> None:
+    films, sizes = [], []
+    for chunk in (4096, 64):
+        launcher = Launcher(lambda chunk=chunk: Workspace(world, options_of(world), chunk))  # type: ignore[misc]
+        film = Film.empty(2, 1, 0)
+        work = launcher.trace(PixelSource(np.arange(2), 2048, KEY), film=film)
+        films.append(film)
+        sizes.append(work.stacks.memory.nbytes)
+    np.testing.assert_allclose(films[1].power, films[0].power, rtol=1e-12)
+    np.testing.assert_array_equal(films[1].hits, films[0].hits)
+    assert films[0].hits.all()
+    assert sizes[1] < 0.1 * sizes[0]
 
 
 @pytest.mark.parametrize("name", SOURCES)

@@ -120,10 +120,13 @@ def test_no_sample_takes_a_gap_in_a_response(tmp_path) -> None:
     np.testing.assert_allclose((taken < 500.0).mean(), 0.5, atol=1e-3)
 
 
-def columns_of(nodes: Nodes, pixels: NDArray[np.int64], samples: int, key: np.uint64) -> NDArray[np.int64]:
+def columns_of(
+    nodes: Nodes, pixels: NDArray[np.int64], samples: int, key: np.uint64, pieces: tuple[range | None, ...] = (None,)
+) -> NDArray[np.int64]:
     """Return the column of every sample of every pixel, (pixels, samples); each must have one."""
     found = np.full((len(pixels), samples), -1)
-    for column, entries in entries_of_pixels(nodes, pixels, samples, key):
+    started = [each for some in pieces for each in entries_of_pixels(nodes, pixels, samples, key, some=some)]
+    for column, entries in started:
         np.testing.assert_array_equal(entries.pixel, pixels[entries.place])
         place, sample = np.repeat(entries.place, entries.taken), np.repeat(entries.begin, entries.taken)
         sample += np.arange(len(sample)) - np.repeat(np.cumsum(entries.taken) - entries.taken, entries.taken)
@@ -131,6 +134,14 @@ def columns_of(nodes: Nodes, pixels: NDArray[np.int64], samples: int, key: np.ui
         found[place, sample] = column
     assert (found >= 0).all()
     return found
+
+
+def test_samples_that_start_in_pieces_take_the_lines_of_the_whole() -> None:
+    pixels, key = np.arange(3, 12), descendant(5, 1)
+    for nodes in (Lines.of(scene("xyz")).nodes[0], Nodes.single(2)):
+        whole = columns_of(nodes, pixels, 100, key)
+        pieces = columns_of(nodes, pixels, 100, key, (range(37), range(37, 38), range(38, 100)))
+        np.testing.assert_array_equal(pieces, whole)
 
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 8, 12, 64, 100])

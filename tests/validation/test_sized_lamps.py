@@ -56,14 +56,15 @@ def agree(one: tuple[float, float], other: tuple[float, float], known: float) ->
 def test_forward_equals_adjoint(case: tuple[str, str]) -> None:
     place, name = case
     scene = PLACES[place] | {"lights": [LAMPS[name]]}
-    agree(watts(512, "adjoint", **scene), watts(65_536, "forward", **scene), 0.03)
+    more = 1 if place in ("air", "fog") else 32
+    agree(watts(512 * more, "adjoint", **scene), watts(65_536 * min(more, 4), "forward", **scene), 0.03)
 
 
 @pytest.mark.filterwarnings("ignore::lfmesh.PictureWarning")
 @pytest.mark.long
 def test_a_tube_through_a_sheet_lights_it_alike_in_both_methods() -> None:
     scene = {"targets": [WALL], "lights": [THROUGH]}
-    agree(watts(4096, "adjoint", **scene), watts(65_536, "forward", **scene), 0.03)
+    agree(watts(4096, "adjoint", **scene), watts(262_144, "forward", **scene), 0.03)
 
 
 @pytest.mark.filterwarnings("ignore::lfmesh.PictureWarning")

@@ -235,7 +235,7 @@ def _sharp_shift_mm(scene: Scene, model: RayModel) -> float:
     """Return the shift per view of planes that middle-type lenslets image sharply: 1/d − 1/ε = 1/f."""
     mla = scene.camera.mla
     assert mla is not None
-    focal = sorted(lenslet_focal_length_mm(mla, scene.primary_nm))
+    focal = sorted(lenslet_focal_length_mm(scene.camera, scene.primary_nm))
     excess = 1.0 / (1.0 / model.lenslet_to_sensor_mm - 1.0 / focal[len(focal) // 2])
     return model.slope_step * excess / (1.0 + excess / model.pupil_to_array_mm)
 

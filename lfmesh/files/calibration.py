@@ -34,18 +34,18 @@ MEANINGS = {
     "known": ("", "False for a lenslet that no such ray reaches, or that is dark; its centre is then continued from "
               "the others by a polynomial."),
     "kinds": ("", "Which of the focal lengths each lenslet has, counted from 0."),
-    "focal_lengths_mm": ("mm", "Focal length in air of each type of lenslet."),
+    "focal_lengths_mm": ("mm", "Focal length of each type of lenslet, in the medium around the array."),
     "lenslet_pitch_mm": ("mm", "Distance of the centres of neighbouring lenslets, the error of the pitch included."),
     "pixel_mm": ("mm", "Width of a pixel."),
     "sensor_px": ("pixel", "Columns and rows of the sensor."),
-    "f_number": ("", "Of the main lens as it is focused: the cone of light that reaches the array."),
-    "microlens_f_number": ("", "Of the lenslets: their distance from the sensor, in air, over their pitch."),
+    "f_number": ("", "Of the main lens as it is focused: the exit pupil's distance from the array over its diameter."),
+    "microlens_f_number": ("", "Of the lenslets: their distance from the sensor over their pitch."),
     "exit_pupil_z_mm": ("mm", "Where the image of the stop lies that the array sees, along the axis from the first "
                         "vertex of the lens."),
     "exit_pupil_diameter_mm": ("mm", "How wide that image is."),
     "pupil_to_array_mm": ("mm", "From the exit pupil to the lenslets' front principal points: D."),
-    "lenslet_to_sensor_mm": ("mm", "From the lenslets' rear principal points to the sensor, in air: d. Neighbouring "
-                             "micro-images are (pitch/pixel)(D + d)/D pixels apart."),
+    "lenslet_to_sensor_mm": ("mm", "From the lenslets' rear principal points to the sensor, seen through the cover: "
+                             "d. Neighbouring micro-images are (pitch/pixel)(D + d)/D pixels apart."),
     "wavelength_nm": ("nm", "Of the light that was traced."),
     "origin": ("", "Whether the centres were traced, or found on a white image."),
 }  # fmt: skip

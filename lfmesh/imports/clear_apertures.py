@@ -49,7 +49,9 @@ def stop_radius_mm(prescription: Prescription, made: KeptSurfaces, paraxial: Par
     elif kind == "working_f_number":
         radius = at_stop / angle / (2.0 * value) if angle else math.inf
     elif kind == "image_na":
-        radius = at_stop / angle * math.tan(math.asin(min(value, 0.999))) if angle else math.inf
+        # The ray's angle is reduced, as the numerical aperture is: n' sin u'.
+        behind = paraxial.image_index
+        radius = at_stop / angle * behind * math.tan(math.asin(min(value / behind, 0.999))) if angle else math.inf
     elif kind == "object_na":
         if math.isinf(object_mm):
             raise SceneError(f"{report.path}: an aperture of the object's side needs an object at a finite distance")

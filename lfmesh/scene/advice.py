@@ -154,7 +154,7 @@ def _beyond_infinity(facts: "FirstOrder", plane: str) -> Iterator[str]:
     if math.isinf(facts.efl_mm):
         yield f"the lens is afocal, and only light that converges has its image on the {plane}; {reach}"
         return
-    inside = facts.rear_principal_plane_z_mm + facts.efl_mm - facts.image_z_mm
+    inside = facts.rear_principal_plane_z_mm + facts.image_index * facts.efl_mm - facts.image_z_mm
     if inside > 0.0:
         where = f"{inside:.4g} mm inside the focal length: the camera is focused beyond infinity"
     else:
@@ -222,7 +222,8 @@ def _sections(facts: "FirstOrder") -> Iterator[str]:
             "first-order figures, and what decoding, refocusing and depth take from them, are those in y"
         )
     # Blur of a point in x; below the width of the Airy disk it is invisible.
-    blur = abs(facts.image_x_shift_mm) / facts.working_f_number if facts.working_f_number else math.inf
+    ratio = facts.image_index * facts.working_f_number
+    blur = abs(facts.image_x_shift_mm) / ratio if ratio else math.inf
     if blur > facts.airy_disk_mm:
         side = "behind" if facts.image_x_shift_mm > 0 else "before"
         yield (

@@ -77,7 +77,7 @@ def _landing_errors(
     """Compute `landing_errors` in one section of the lens."""
     lens = scene.camera.lens
     distance = (scene.camera.mla or scene.camera.sensor).distance_mm or 0.0
-    to_image: Matrix = gap(distance)
+    to_image: Matrix = gap(distance, paraxial.image_index)
     carried = {}
     for number in reversed(range(len(lens.surfaces))):
         carried[number] = to_image

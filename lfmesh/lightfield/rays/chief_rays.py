@@ -16,7 +16,6 @@ from lfmesh.geometry.array.lenslets import Lenslets
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.lightfield.rays.lens_alone import lens_alone
-from lfmesh.optics.glass import refractive_index
 from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.scene import MicrolensArray, Scene
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
@@ -44,7 +43,7 @@ class ChiefRays(NamedTuple):
     entry : (rows, columns, 3) float64, mm, camera frame
         Point on the array's first face; the apex, if the curved face is on the lens side.
     direction : (rows, columns, 3) float64
-        Unit, in the air between lens and array, camera frame.
+        Unit, between lens and array, camera frame.
     landing : (rows, columns, 2) float64, mm, sensor frame
     """
 
@@ -60,7 +59,10 @@ class ChiefRays(NamedTuple):
 
 
 class Plate(NamedTuple):
-    """Array and cover as seen by a chief ray: their glass, and the side of the curved face."""
+    """Array and cover as seen by a chief ray: their glass, and the side of the curved face.
+
+    Indices are relative to the medium outside.
+    """
 
     lenslets: Lenslets
     glass: float
@@ -118,7 +120,7 @@ class Plate(NamedTuple):
         Parameters
         ----------
         direction : (n, 3) float64
-            In air, unit, sensor frame.
+            Outside the cover, unit, sensor frame.
         """
         across, along = direction[:, :2], np.abs(direction[:, 2])
         in_glass = np.sqrt(self.cover_index**2 - np.einsum("ij,ij->i", across, across))
@@ -166,9 +168,9 @@ def plate_of(scene: Scene) -> Plate:
     primary = scene.primary_nm
     _, tables = mla_tables(scene, (primary,), interface_tables(scene, (primary,)).mla, MediumList.of(scene))
     moves = frame_table(scene, np.zeros(3))
-    cover = scene.camera.sensor.cover
-    covered = (0.0, 1.0) if cover is None else (cover.thickness_mm, refractive_index(cover.medium, primary))
-    return Plate(tables.lenslets, refractive_index(mla.medium, primary), tables.curved_to_lens, moves, *covered)
+    camera, cover = scene.camera, scene.camera.sensor.cover
+    covered = (0.0, 1.0) if cover is None else (cover.thickness_mm, camera.relative_index(cover.medium, primary))
+    return Plate(tables.lenslets, camera.relative_index(mla.medium, primary), tables.curved_to_lens, moves, *covered)
 
 
 def chief_rays(scene: Scene) -> ChiefRays:
@@ -225,7 +227,7 @@ class _Fan:
         self._reach = reach
         array_z = lens.vertices_mm[-1] + (scene.camera.mla.distance_mm or 0.0 if scene.camera.mla else 0.0)
         m = paraxial.from_stop
-        height = m.b + m.d * (array_z - lens.vertices_mm[-1])
+        height = m.b + m.d * ((array_z - lens.vertices_mm[-1]) / paraxial.image_index)
         widest = 1.3 * reach / abs(height * paraxial.indices[paraxial.stop + 1])
         one = np.linspace(-widest, widest, FAN)
         slopes = np.stack(np.meshgrid(one, one), axis=-1).reshape(-1, 2)
@@ -239,7 +241,7 @@ class _Fan:
         self._coefficients, *_ = np.linalg.lstsq(self._terms(hit[through]), slopes[through], rcond=None)
 
     def trace(self, slopes: Array) -> tuple[Array, Array]:
-        """Return position and direction of rays from the stop in the air before the array, camera frame; NaN if lost.
+        """Return position and direction of rays from the stop, before the array, camera frame; NaN if lost.
 
         Parameters
         ----------

@@ -39,7 +39,8 @@ class Bundles(NamedTuple):
     Attributes
     ----------
     weight : (n,) float64, m² sr
-        Area times projected solid angle times transmittance: W for a radiance of 1 W/(m² sr) through this lenslet.
+        W for a radiance of 1 W/(m² sr) before the camera through this lenslet: area times projected solid angle times
+        transmittance, and the squared ratio of the indices behind and before the lens.
     mean : (n, 4) float64
         Mean ray: x and y in the plane of the first vertex (mm), dx/dz and dy/dz; camera frame.
     covariance : (n, 4, 4) float64
@@ -133,7 +134,10 @@ def _chunk(world: World, plate: Plate, numbers: NDArray[np.int64], pixels: Array
     )  # fmt: skip
     out = paths.status == Status.ESCAPED
     rays = known[paths.source[out]]
-    weight = M2_PER_MM2 * etendue[rays] * passed[paths.source[out]] * paths.weight[out]
+    # Radiance over the square of the index is conserved, apart from the transmittance.
+    facts = world.facts
+    gain = (facts.image_index / facts.object_index) ** 2
+    weight = M2_PER_MM2 * gain * etendue[rays] * passed[paths.source[out]] * paths.weight[out]
     to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
     p, d = frames.points(to_camera, paths.position[out]), frames.directions(to_camera, paths.direction[out])
     # Reversed light, with its start moved out of the lens.
@@ -154,7 +158,7 @@ def _before_cover(world: World, places: Array, direction: Array) -> tuple[Array,
     places : (n, 2) float64, mm
         On the sensor.
     direction : (n, 3) float64
-        Unit, in air; array frame, like the result.
+        Unit, outside the cover; array frame, like the result.
     """
     moves, cover = world.tables.frames, world.tables.cover
     on_sensor = np.column_stack([places, np.zeros(len(places))])

@@ -24,7 +24,7 @@ class PixelSlopes(NamedTuple):
     seen : (n, 3) float64, mm
         Apparent origin of the ray before the cover; without one, the point of the sensor.
     slope : (n, 2) float64
-        dx/|dz| and dy/|dz| in the air before the array; NaN if no ray leads to the point.
+        dx/|dz| and dy/|dz| between sensor and array; NaN if no ray leads to the point.
     derivative : (n, 2, 2) float64, mm
         Of the ray's end point by its slopes.
     """
@@ -50,19 +50,20 @@ def pixel_slopes(plate: Plate, on_sensor: Array, to: Array, before_mm: Array, gl
         Glass that the ray crosses between a flat face and the point.
     """
     to_array = plate.moves[SENSOR_FRAME, MLA_FRAME]
-    # Through a cover, a pixel appears nearer, and displaced by terms of third order in the angle.
+    # Through a cover, a pixel appears nearer, or farther if its index is below that outside, and displaced by terms of
+    # third order in the angle.
     nearer = plate.cover_mm * (1.0 - 1.0 / plate.cover_index)
     moved = np.column_stack([on_sensor, np.full(len(on_sensor), -nearer)])
-    for _ in range(MOST_STEPS if nearer > 0.0 else 1):
+    for _ in range(MOST_STEPS if nearer else 1):
         seen = frames.points(to_array, moved)
         slope, derivative = slopes_across(to - seen[:, :2], np.abs(seen[:, 2]) - before_mm, glass_mm, plate.glass)
-        if nearer > 0.0:
+        if nearer:
             place = on_sensor + _off_its_place(plate, slope)[0]
             still = np.array_equal(place, moved[:, :2], equal_nan=True)
             moved[:, :2] = place
             if still:
                 break
-    if nearer > 0.0:
+    if nearer:
         by_slope = to_array[:, :2] @ _off_its_place(plate, slope)[1]
         derivative = derivative + by_slope[:, :2]
         derivative += np.sign(seen[:, 2])[:, None, None] * slope[:, :, None] * by_slope[:, 2:]
@@ -95,7 +96,7 @@ def _off_its_place(plate: Plate, slope: Array) -> tuple[Array, Array]:
 
 
 def slopes_across(offset: Array, air_mm: Array, glass_mm: Array, index: float) -> tuple[Array, Array]:
-    """Return the slopes in air, (n, 2), of rays with a given offset across air and a plate; NaN if there is none.
+    """Return the slopes (n, 2) of rays with a given offset across a gap and a plate; NaN if there is none.
 
     Also return the derivatives of the offset by the slope, (n, 2, 2) mm.
 

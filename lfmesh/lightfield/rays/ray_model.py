@@ -70,7 +70,7 @@ class RayModel:
     Attributes
     ----------
     efl_mm : float
-        Focal length of the main lens, on the image side.
+        Focal length of the main lens: 1 over its power.
     front_principal_z_mm, rear_principal_z_mm : float
     array_z_mm : float
         The lenslets' front principal points.
@@ -78,16 +78,18 @@ class RayModel:
         D, from the exit pupil to the lenslets' front principal points; inf for a telecentric lens, negative if the
         pupil lies behind the array.
     lenslet_to_sensor_mm : float
-        d, from the lenslets' rear principal points to the sensor, in air.
+        d, from the lenslets' rear principal points to the sensor, as if the medium around them filled the cover too.
     lenslet_pitch_mm, pixel_mm : float
     f_number : float
-        Of the main lens, on the image side, at its focus.
+        Of the main lens, at its focus: distance from the exit pupil to the lenslets over its diameter.
     focus_shift_mm, focus_shift_mm2 : float
         Shift of the focus along z by spherical aberration, from an axial point's first-order image to the closest
         approach of the full aperture's rays. The second is divided by the object's distance from the front principal
         plane and added.
     object_index : float
         Refractive index of object space.
+    image_index : float
+        Refractive index between the lens and the sensor.
     """
 
     efl_mm: float
@@ -102,6 +104,7 @@ class RayModel:
     focus_shift_mm: float = 0.0
     focus_shift_mm2: float = 0.0
     object_index: float = 1.0
+    image_index: float = 1.0
 
     @classmethod
     def of(cls, scene: Scene) -> "RayModel":
@@ -148,10 +151,11 @@ class RayModel:
             - mla.pose.shift_mm[2],
             lenslet_pitch_mm=mla.pitch_mm * (1.0 + mla.form.pitch_error),
             pixel_mm=camera.sensor.pixel_mm,
-            f_number=facts.working_f_number,
+            f_number=facts.image_index * facts.working_f_number,
             focus_shift_mm=shift,
             focus_shift_mm2=slope,
             object_index=facts.object_index,
+            image_index=facts.image_index,
         )
 
     @property
@@ -211,7 +215,7 @@ class RayModel:
             )
         from_principal = distance_mm + self.front_principal_z_mm
         vergence = 1.0 / from_principal if from_principal else math.inf
-        paraxial = 1.0 / (1.0 / self.efl_mm - self.object_index * vergence)
+        paraxial = self.image_index / (1.0 / self.efl_mm - self.object_index * vergence)
         if math.isinf(vergence) and self.focus_shift_mm2:
             raise LfmeshError(
                 f"distance_mm = {distance_mm:g}: lies in the front principal plane of the lens, where the effect of "
@@ -261,7 +265,7 @@ class RayModel:
             # The focus shift depends so little on the vergence that every round gains two digits.
             for _ in range(ROUNDS):
                 image = sharpest - self.focus_shift_mm - self.focus_shift_mm2 * vergence
-                of_lens, of_image = 1.0 / self.efl_mm, 1.0 / image
+                of_lens, of_image = 1.0 / self.efl_mm, self.image_index / image
                 # A difference below its rounding error means an object at infinity.
                 left = of_lens - of_image
                 vergence = np.where(abs(left) <= ROUNDING * abs(of_lens), 0.0, left) / self.object_index

@@ -13,6 +13,7 @@ from typing import Literal
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.lightfield.rays.ray_model import RayModel
+from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene, solved
 from lfmesh.scene.first_order.solve import lenslet_focal_length_mm
 
@@ -67,7 +68,10 @@ def focused(
         raise LfmeshError(
             f"reduction = {reductions}: the array would stand {-distance:.4g} mm inside the lens; give a smaller one"
         )
-    focal_lengths = [b / (1.0 + toward / r) for r in reductions]
+    # Keys of a scene are focal lengths in air: R / (n − 1) for R / (n/n' − 1) here.
+    plate, outside = refractive_index(camera.mla.medium, scene.primary_nm), camera.image_index(scene.primary_nm)
+    in_air = (plate / outside - 1.0) / (plate - 1.0)
+    focal_lengths = [b / (1.0 + toward / r) * in_air for r in reductions]
     pixels = camera.mla.pitch_mm / camera.sensor.pixel_mm
     if sorted(reductions)[len(reductions) // 2] >= pixels:
         raise LfmeshError(
@@ -104,5 +108,5 @@ def lenslet_blur_px(scene: Scene, excess_mm: float) -> tuple[float, ...]:
         raise LfmeshError("camera.mla is missing: a conventional camera has no lenslets")
     vergence = -1.0 / excess_mm if excess_mm else float("inf")
     wide = mla.pitch_mm * model.lenslet_to_sensor_mm / model.pixel_mm
-    focal = lenslet_focal_length_mm(mla, scene.primary_nm)
+    focal = lenslet_focal_length_mm(scene.camera, scene.primary_nm)
     return tuple(wide * abs(1.0 / model.lenslet_to_sensor_mm + vergence - 1.0 / f) for f in focal)

@@ -5,6 +5,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.mla import MicrolensArray
 from lfmesh.scene.camera.sensor import Sensor
@@ -62,3 +63,36 @@ class Camera(Model):
                 ("object_medium",), None,
                 "omit it: lens.surfaces[0] is a paraxial surface, and a thin lens stands in air",
             )  # fmt: skip
+
+    @property
+    def medium_behind_lens(self) -> Medium:
+        """Medium between the lens and the sensor; None for air."""
+        return self.lens.surfaces[-1].medium if self.lens.surfaces else None
+
+    def image_index(self, wavelength_nm: float) -> float:
+        """Return the refractive index of the medium between the lens and the sensor.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+
+        Returns
+        -------
+        float
+        """
+        return refractive_index(self.medium_behind_lens, wavelength_nm)
+
+    def relative_index(self, medium: Medium, wavelength_nm: float) -> float:
+        """Return the refractive index of a plate behind the lens over that of the medium around it.
+
+        Parameters
+        ----------
+        medium : Medium
+            Of the array or the sensor's cover.
+        wavelength_nm : float
+
+        Returns
+        -------
+        float
+        """
+        return refractive_index(medium, wavelength_nm) / self.image_index(wavelength_nm)

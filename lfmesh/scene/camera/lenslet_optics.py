@@ -2,24 +2,25 @@
 
 The faces towards the lens and the sensor have the powers φ₁ and φ₂, the plate the reduced thickness t/n. Then (for
 instance Hecht, Optics, section 6.1) the power is φ = φ₁ + φ₂ − φ₁ φ₂ t/n. The front principal point lies φ₂/φ · t/n
-behind the first face, the rear one φ₁/φ · t/n before the second, as in air. A cylinder has power in one section only.
+behind the first face, the rear one φ₁/φ · t/n before the second, as in the medium outside. A cylinder has power in one
+section only. Only ratios of indices count: n is the plate's index over that of the medium between lens and sensor.
 """
 
 import math
 from typing import NamedTuple
 
-from lfmesh.optics.glass import refractive_index
+from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.mla import MicrolensArray
 from lfmesh.scene.first_order.paraxial import quotient
 
 
 class LensletOptics(NamedTuple):
-    """One section of a lenslet, as in air.
+    """One section of a lenslet, as in the medium outside its plate.
 
     Attributes
     ----------
     power_per_mm : float
-        1 / focal length; 0 if it does not focus in this section.
+        1 / focal length in that medium; 0 if it does not focus in this section.
     front_principal_mm : float
         Distance from the face towards the lens to the front principal point, positive towards the sensor.
     rear_principal_mm : float
@@ -41,22 +42,22 @@ class LensletOptics(NamedTuple):
         return self.focal_length_mm - self.rear_principal_mm
 
 
-def lenslet_optics(
-    mla: MicrolensArray, wavelength_nm: float, kind: int = 0, section: str | None = None
-) -> LensletOptics:
-    """Return the first-order optics of a lenslet type of a solved array.
+def lenslet_optics(camera: Camera, wavelength_nm: float, kind: int = 0, section: str | None = None) -> LensletOptics:
+    """Return the first-order optics of a lenslet type of a camera's array.
 
     Parameters
     ----------
-    mla : MicrolensArray
-        Array with radii.
+    camera : Camera
+        Its array has radii.
     wavelength_nm : float
     kind : int
         Lenslet type.
     section : str, optional
         "x" or "y". Default: the one with the power of the curved face.
     """
-    n = refractive_index(mla.medium, wavelength_nm)
+    mla = camera.mla
+    assert mla is not None
+    n = camera.relative_index(mla.medium, wavelength_nm)
     if section is None:
         section = "y" if mla.cylinder_axis == "x" else "x"
     assert mla.radius_mm is not None

@@ -25,9 +25,9 @@ def first_order(scene: Scene) -> FirstOrder:
     """Solve a scene and compute its first-order report.
 
     The micro-image pitch follows from the chief rays. A lenslet's principal points lie `D` behind the exit pupil and
-    (reduced to air) `d` before the sensor. A ray from the centre of the pupil through them lands (D + d)/D times the
-    lenslet's offset from the axis. The front principal point of a plano-convex lenslet is its apex, seen through the
-    plate if the flat face faces the lens.
+    (seen from the medium around it) `d` before the sensor. A ray from the centre of the pupil through them lands
+    (D + d)/D times the lenslet's offset from the axis. The front principal point of a plano-convex lenslet is its apex,
+    seen through the plate if the flat face faces the lens.
 
     The refocus range ends where the shift between neighbouring views is one lenslet. Views a pixel apart are
     δu = pixel · D/d apart on the exit pupil. An image point ε behind the array shifts by δu · ε/(D + ε) between them.
@@ -36,8 +36,8 @@ def first_order(scene: Scene) -> FirstOrder:
     lenslet refocus exactly within the depth of field of an f-number P times higher.
 
     The Airy disks (`airy_disk_mm`) are for the scene's longest wavelength. The lens's follows from its working
-    f-number, a lenslet's from its distance to the sensor over its pitch or clear diameter. (A square lenslet has its
-    first dark lines 2 λ N apart; the circle as wide as the pitch represents it.)
+    f-number, a lenslet's from its reduced distance to the sensor over its pitch or clear diameter. (A square lenslet
+    has its first dark lines 2 λ N apart; the circle as wide as the pitch represents it.)
 
     Raises
     ------
@@ -72,9 +72,11 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         return abs(lens.chief_height_mm(image_mm)) / (2.0 * stop_radius)
 
     f_number = cone(plane)
-    per_pupil = quotient(lens.from_stop.d, lens.chief_height_mm(plane))
-    micro = micro_image(camera, wavelength, per_pupil, f_number)
-    focused = focused_lenslets(camera, wavelength, lens, quotient(1.0, f_number), per_pupil)
+    # Distance from the exit pupil over its diameter: with 1 / (2 n' u') the f-number, 1 / (2 u').
+    ratio = lens.image_index * f_number
+    per_pupil = quotient(lens.from_stop.d / lens.image_index, lens.chief_height_mm(plane))
+    micro = micro_image(camera, wavelength, per_pupil, ratio)
+    focused = focused_lenslets(camera, wavelength, lens, quotient(1.0, ratio), per_pupil)
     standard = micro is not None and not focused
     image, sample = plane, camera.mla.pitch_mm if camera.mla is not None and standard else camera.sensor.pixel_mm
     kind = STANDARD if standard else CONVENTIONAL
@@ -84,7 +86,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         kind = KEPLERIAN if middle.main_image_mm > 0.0 else GALILEAN
     distance = lens.object_mm(image)
     magnification = lens.magnification_onto(image)
-    near, far, refocused = _refocus_range(camera, wavelength, lens, f_number)
+    near, far, refocused = _refocus_range(camera, wavelength, lens, ratio)
     if focused:
         near, far = min(at.near_mm for at in focused), max(at.far_mm for at in focused)
         refocused = ()
@@ -132,11 +134,12 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard and f_number else None,
         views_across=micro[2] if micro and standard and f_number else None,
         refocused_mm=refocused,
-        cover_shift_mm=cover_shift_mm(camera.sensor, wavelength) if camera.sensor.cover is not None else None,
+        cover_shift_mm=cover_shift_mm(camera, wavelength) if camera.sensor.cover is not None else None,
         by_wavelength=tuple(_by_wavelength(scene, lens, distance)),
         focused=focused,
-        lenslet_sections=tuple(lenslet_sections(camera, wavelength, lens, f_number)),
+        lenslet_sections=tuple(lenslet_sections(camera, wavelength, lens, ratio)),
         object_index=lens.indices[0],
+        image_index=lens.image_index,
         poses=tuple(_pose_lines(camera)),
     )
     if across is not lens:
@@ -160,7 +163,7 @@ def _kick_error(scene: Scene, facts: FirstOrder) -> KickError | None:
     error = kick_error(fresnel, beyond, layout=mla.layout, in_focus=not facts.focused, width=width, pixels=pixels)
     if error is None or not (scene.transport.diffraction == "lenslets" or (facts.microlens_airy_disk_px or 0.0) > 1.0):
         return error
-    white = error_on_true_faces(camera, scene.reach_nm[1], facts.working_f_number)
+    white = error_on_true_faces(camera, scene.reach_nm[1], facts.image_index * facts.working_f_number)
     return error if white is None else error._replace(white_with=white, true_faces=True)
 
 
@@ -168,35 +171,36 @@ def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:
     """Return the diameter of the first dark ring around the image of a point: 2.44 λ N.
 
     The first zero of J₁ is at 1.2197 π, so the ring has the radius 1.22 λ N (Born and Wolf, Principles of Optics,
-    section 8.5.2). N = 1 / (2 sin θ') is the f-number of the converging cone in air.
+    section 8.5.2). N = 1 / (2 n' sin θ') is the f-number of the converging cone, and λ the wavelength in air.
     """
     return 2.0 * AIRY_RING * wavelength_nm * 1e-6 * f_number
 
 
-def _refocus_depth_mm(camera: Camera, wavelength_nm: float, f_number: float) -> float:
+def _refocus_depth_mm(camera: Camera, wavelength_nm: float, ratio: float) -> float:
     """Return the depth of the refocus range on each side of the image plane, for a distant pupil.
 
     Without an array, the blur within it is at most a pixel: the pupil's diameter replaces the view spacing.
     """
     pixel = camera.sensor.pixel_mm
     if camera.mla is None:
-        return pixel * f_number
+        return pixel * ratio
     return camera.mla.pitch_mm * lenslet_to_sensor_mm(camera, wavelength_nm) / pixel
 
 
 def _refocus_range(
-    camera: Camera, wavelength_nm: float, lens: Paraxial, f_number: float
+    camera: Camera, wavelength_nm: float, lens: Paraxial, ratio: float
 ) -> tuple[float, float, tuple[tuple[float, float, float], ...]]:
     """Return the ends of the refocus range, and the depth of field of photographs in it, in mm.
 
-    The plane of lenslets or sensor is shifted by up to `_refocus_depth_mm`.
+    The plane of lenslets or sensor is shifted by up to `_refocus_depth_mm`. `ratio` is the exit pupil's distance over
+    its diameter.
     """
     shifts = along_shifts(lens, image_plane_mm(camera, wavelength_nm))
-    depth = abs(_refocus_depth_mm(camera, wavelength_nm, f_number))
+    depth = abs(_refocus_depth_mm(camera, wavelength_nm, ratio))
     near, far = shifts.between_mm(-depth, depth)
     if camera.mla is None:
         return near, far, ()
-    sharp = camera.mla.pitch_mm * f_number
+    sharp = camera.mla.pitch_mm * ratio
     # The farthest photograph is one of infinity, not of image points in front of infinity's image.
     farthest, nearest = shifts.real(-depth, depth) or (-depth, depth)
     planes = (near, nearest), (shifts.object_mm(0.0), 0.0), (far, farthest)

@@ -1,9 +1,9 @@
 """Object distances along a range of image points, as ratios, so that infinity needs no special case.
 
 T and F are the matrices from the first vertex to the stop and on to behind the last vertex, M = F T, and n is the index
-before the lens. The ray through the centre of the stop with slope 1 meets a plane, i behind the last vertex and D
-behind the exit pupil, at the height h = F_b + i F_d. An image point for which views u apart on the exit pupil shift by
-u t / D on that plane has the object distance
+before the lens. Behind it i, D and t are reduced distances, over the index there. The ray through the centre of the
+stop with slope 1 meets a plane, i behind the last vertex and D behind the exit pupil, at the height h = F_b + i F_d. An
+image point for which views u apart on the exit pupil shift by u t / D on that plane has the object distance
 
     x = −n ((M_b + M_d i) h − t T_b) / ((M_a + M_c i) h − t T_a).
 
@@ -87,18 +87,18 @@ class Conjugates(NamedTuple):
 
 
 def along_shifts(lens: Paraxial, image_mm: float) -> Conjugates:
-    """Return the object distances along the shift t of a plane behind the last vertex."""
+    """Return the object distances along the shift t, in mm, of a plane behind the last vertex."""
     to_stop, whole = lens.to_stop, lens.whole
-    index, height = lens.indices[0], lens.chief_height_mm(image_mm)
+    index, height, behind = lens.indices[0], lens.chief_height_mm(image_mm), lens.image_index
     if height == 0.0:
         # The plane is the exit pupil: all its views show only the entrance pupil.
         return Conjugates(p=-index * to_stop.b, q=0.0, r=to_stop.a, s=0.0)
-    infinite = quotient(height, lens.from_stop.d)
+    infinite = behind * quotient(height, lens.from_stop.d)
     return Conjugates(
-        p=-index * (whole.b + whole.d * image_mm) * height,
-        q=index * to_stop.b,
+        p=-index * (whole.b + whole.d * (image_mm / behind)) * height,
+        q=index * to_stop.b / behind,
         r=lens.magnification_onto(image_mm) * height,
-        s=-to_stop.a,
+        s=-to_stop.a / behind,
         least=infinite if infinite < 0.0 else -math.inf,
         most=infinite if infinite >= 0.0 else math.inf,
     )
@@ -113,15 +113,16 @@ def along_depths(lens: Paraxial, lenslets_mm: float, to_sensor_mm: float, per_de
     lenslets_mm : float
         Distance of the lenslets behind the last vertex.
     to_sensor_mm : float
-        Distance d from the lenslets to the sensor.
+        Distance d from the lenslets to the sensor, in the medium around them.
     per_depth : float
         t of the plane in focus.
     """
     whole, index = lens.whole, lens.indices[0]
+    to_lenslets, to_sensor = (each / lens.image_index for each in (lenslets_mm, to_sensor_mm))
     return Conjugates(
-        p=index * whole.d * to_sensor_mm,
-        q=-index * (whole.b + whole.d * lenslets_mm),
-        r=-whole.c * to_sensor_mm,
+        p=index * whole.d * to_sensor,
+        q=-index * (whole.b + whole.d * to_lenslets),
+        r=-whole.c * to_sensor,
         s=lens.magnification_onto(lenslets_mm),
         least=0.0 if per_depth > 0.0 else -math.inf,
         most=0.0 if per_depth <= 0.0 else math.inf,

@@ -58,11 +58,11 @@ class FieldOfView(NamedTuple):
             edges.append(edge)
         (width, width_slope), (height, height_slope) = edges
         lens = sections[1]
-        diameter, cone = 2.0 * stop_radius_mm, lens.chief_height_mm(image_mm)
+        diameter, cone, reduced = 2.0 * stop_radius_mm, lens.chief_height_mm(image_mm), image_mm / lens.image_index
         beam = UNBOUNDED
         if cone:
             beam = (
-                diameter * (lens.whole.b + lens.whole.d * image_mm) / cone,
+                diameter * (lens.whole.b + lens.whole.d * reduced) / cone,
                 -diameter * lens.magnification_onto(image_mm) / (cone * lens.indices[0]),
             )
         return cls((width, height), (width_slope, height_slope), *beam)

@@ -42,7 +42,7 @@ class FocusedLenslets:
 
     focal_length_mm: float
     to_sensor_mm: float
-    """Distance from the lenslet to the sensor, as in air."""
+    """Distance from the lenslet to the sensor, as in the image medium all the way."""
     main_image_mm: float
     """Distance before the lenslets of the plane imaged onto the sensor; negative behind them."""
     virtual_depth: float
@@ -90,7 +90,7 @@ def focused_lenslets(
     mla = camera.mla
     if mla is None or mla.cylinder_axis is not None:
         return ()
-    types = [lenslet_optics(mla, wavelength_nm, kind) for kind in range(mla.types)]
+    types = [lenslet_optics(camera, wavelength_nm, kind) for kind in range(mla.types)]
     middle = middle_of(types)
     blur = abs(_per_depth(camera, wavelength_nm, middle)) * mla.pitch_mm / camera.sensor.pixel_mm
     if not blur > FOCUSED_BLUR_PX or not lenslet_to_sensor_mm(camera, wavelength_nm, middle) > 0.0:
@@ -112,7 +112,7 @@ def sensor_over_focal_length(camera: Camera, wavelength_nm: float) -> float | No
     mla = camera.mla
     if mla is None or mla.cylinder_axis is not None:
         return None
-    middle = middle_of([lenslet_optics(mla, wavelength_nm, kind) for kind in range(mla.types)])
+    middle = middle_of([lenslet_optics(camera, wavelength_nm, kind) for kind in range(mla.types)])
     return 1.0 + _per_depth(camera, wavelength_nm, middle)
 
 

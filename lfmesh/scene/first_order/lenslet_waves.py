@@ -19,10 +19,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.camera import Camera
-from lfmesh.scene.camera.mla import MicrolensArray
-from lfmesh.scene.camera.sensor import Sensor
 from lfmesh.scene.first_order.kick_error import ACROSS_A_PIXEL, MOST_PIXELS, hexagons_in_common
 
 Array = NDArray[np.float64]
@@ -311,7 +308,7 @@ def _in_common(layout: str, shift: Array) -> Array:
     return np.asarray(np.clip(1.0 - np.abs(shift), 0.0, None).prod(axis=0))
 
 
-def error_on_true_faces(camera: Camera, wavelength_nm: float, f_number: float) -> float | None:
+def error_on_true_faces(camera: Camera, wavelength_nm: float, ratio: float) -> float | None:
     """Return the error of a camera's white pictures with lenslet diffraction, averaged over the lenslet types.
 
     None for cylinders, clear apertures, two curved faces, and beyond `MOST_FRESNEL` or `MOST_CONE`.
@@ -321,38 +318,43 @@ def error_on_true_faces(camera: Camera, wavelength_nm: float, f_number: float) -
     camera : Camera
         Solved.
     wavelength_nm : float
-    f_number : float
-        F-number of the light at a lenslet.
+    ratio : float
+        Distance from the exit pupil to the lenslets over its diameter.
     """
     mla, sensor = camera.mla, camera.sensor
     if mla is None or mla.has_back or mla.cylinder_axis is not None or mla.clear_diameter_mm is not None:
         return None
-    cone, lenslets = math.sin(math.atan(0.5 / f_number)), lenslets_of(mla, sensor, wavelength_nm)
+    cone, lenslets = math.sin(math.atan(0.5 / ratio)), lenslets_of(camera, wavelength_nm)
     if not 0.0 < cone <= MOST_CONE or not all(0.0 < each.fresnel_number <= MOST_FRESNEL for each in lenslets):
         return None
     pixels = max(1, round(mla.pitch_mm / sensor.pixel_mm))
     return sum(error_with_kick(each, cone, pixels) for each in lenslets) / len(lenslets)
 
 
-def lenslets_of(mla: MicrolensArray, sensor: Sensor, wavelength_nm: float) -> list[Lenslet]:
+def lenslets_of(camera: Camera, wavelength_nm: float) -> list[Lenslet]:
     """Return one lenslet of each type of a solved array with one curved face.
+
+    Indices and wavelength are relative to the image medium.
 
     Parameters
     ----------
-    mla : MicrolensArray
-    sensor : Sensor
+    camera : Camera
+        Solved.
     wavelength_nm : float
+        In air.
     """
-    index, cover = refractive_index(mla.medium, wavelength_nm), sensor.cover
+    mla, sensor = camera.mla, camera.sensor
+    assert mla is not None
+    index, cover = camera.relative_index(mla.medium, wavelength_nm), sensor.cover
     assert mla.radius_mm is not None
     assert sensor.distance_mm is not None
     layers = [(mla.thickness_mm, index)] if mla.curved_side == "lens" else []
     layers.append((sensor.distance_mm - (cover.height_mm if cover else 0.0), 1.0))
     if cover is not None:
-        layers += [(cover.thickness_mm, refractive_index(cover.medium, wavelength_nm)), (cover.gap_mm, 1.0)]
+        layers += [(cover.thickness_mm, camera.relative_index(cover.medium, wavelength_nm)), (cover.gap_mm, 1.0)]
     return [
         Lenslet(mla.pitch_mm, mla.layout, radius, *mla.profile_of(kind), mla.curved_side, index, tuple(layers),
-                1e-6 * wavelength_nm)
+                1e-6 * wavelength_nm / camera.image_index(wavelength_nm))
         for kind, radius in enumerate(mla.radius_mm)
     ]  # fmt: skip
 

@@ -17,21 +17,21 @@ class LensletSection:
     section: str
     """"x": the x–z section, "y": the y–z section; "": every section, for lenslets of revolution."""
     focal_length_mm: float
-    """Focal length of both faces of the plate; inf without power."""
+    """Focal length of both faces of the plate, in the image medium; inf without power."""
     focus_behind_mm: float
     """Distance of the focus of collimated light behind the array's face towards the sensor."""
     f_number: float | None
-    """Distance from the sensor, in air, over the pitch in this section; None without power."""
+    """Reduced distance from the sensor over the pitch in this section; None without power."""
     micro_image_pitch_px: float | None
     """As in the report, for this section; None without a micro-image."""
     micro_image_diameter_px: float | None
 
 
 def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float, at: LensletOptics | None = None) -> float:
-    """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, as in air.
+    """Return the apparent distance from a lenslet's rear principal plane to the sensor of a solved camera.
 
     The rear principal plane of a plano-convex lenslet lies t/n inside its flat face if light leaves there, else at the
-    apex. For two curved faces see `lenslet_optics`.
+    apex. For two curved faces see `lenslet_optics`. The distance is in the image medium, as if it filled the cover too.
 
     Parameters
     ----------
@@ -42,12 +42,12 @@ def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float, at: LensletOptics
     """
     if camera.mla is None or camera.sensor.distance_mm is None:
         return math.nan
-    inside = rear_principal_mm(camera.mla, wavelength_nm) if at is None else at.rear_principal_mm
-    return camera.sensor.distance_mm - cover_shift_mm(camera.sensor, wavelength_nm) + inside
+    inside = rear_principal_mm(camera, wavelength_nm) if at is None else at.rear_principal_mm
+    return camera.sensor.distance_mm - cover_shift_mm(camera, wavelength_nm) + inside
 
 
 def micro_image(
-    camera: Camera, wavelength_nm: float, per_pupil: float, f_number: float
+    camera: Camera, wavelength_nm: float, per_pupil: float, ratio: float
 ) -> tuple[float, float, float] | None:
     """Return the microlens f-number, and the pitch and diameter of micro-images in pixels.
 
@@ -58,22 +58,22 @@ def micro_image(
     wavelength_nm : float
     per_pupil : float, 1/mm
         1 over the distance from the exit pupil to the lenslets; 0 for a telecentric lens.
-    f_number : float
-        F-number of the light at a lenslet.
+    ratio : float
+        Distance from the exit pupil to the lenslets over its diameter.
     """
     if camera.mla is None:
         return None
     pitch, pixel = camera.mla.pitch_mm, camera.sensor.pixel_mm
     to_sensor = lenslet_to_sensor_mm(camera, wavelength_nm)
     return (
-        to_sensor / pitch,
+        to_sensor / camera.image_index(wavelength_nm) / pitch,
         pitch / pixel * (1 + to_sensor * per_pupil),
-        quotient(to_sensor, f_number) / pixel,
+        quotient(to_sensor, ratio) / pixel,
     )
 
 
 def lenslet_sections(
-    camera: Camera, wavelength_nm: float, lens: Paraxial, f_number: float
+    camera: Camera, wavelength_nm: float, lens: Paraxial, ratio: float
 ) -> Iterator[LensletSection]:  # fmt: skip
     """Yield the lenslets section by section, if they are cylinders or on both faces.
 
@@ -84,21 +84,21 @@ def lenslet_sections(
     wavelength_nm : float
     lens : Paraxial
         The camera's lens at this wavelength.
-    f_number : float
-        F-number of the light at a lenslet.
+    ratio : float
+        Distance from the exit pupil to the lenslets over its diameter.
     """
     mla, sensor = camera.mla, camera.sensor
     if mla is None or not (len(sections(mla)) > 1 or mla.has_back):
         return
     for section in sections(mla):
-        at = lenslet_optics(mla, wavelength_nm, section=section)
+        at = lenslet_optics(camera, wavelength_nm, section=section)
         number = pitch = diameter = None
         if at.power_per_mm != 0.0:
             inside = lenslet_to_sensor_mm(camera, wavelength_nm, at)
             height = lens.chief_height_mm((mla.distance_mm or math.nan) + at.front_principal_mm)
             apart = mla.pitch_mm if section == "x" else mla.row_pitch_mm
-            pitch = apart / sensor.pixel_mm * (1 + quotient(inside * lens.from_stop.d, height))
-            diameter = quotient(inside, f_number) / sensor.pixel_mm
-            number = inside / apart
+            pitch = apart / sensor.pixel_mm * (1 + quotient(inside / lens.image_index * lens.from_stop.d, height))
+            diameter = quotient(inside, ratio) / sensor.pixel_mm
+            number = inside / lens.image_index / apart
         name = section if len(sections(mla)) > 1 else ""
         yield LensletSection(name, at.focal_length_mm, at.focus_behind_mm, number, pitch, diameter)

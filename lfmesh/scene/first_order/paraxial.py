@@ -1,8 +1,8 @@
 """Paraxial optics of a lens by the y-nu trace.
 
 Heights are in mm. Angles are in rad and reduced (times the index), so that each surface and gap is a matrix of
-determinant 1. Behind the lens is air. Distances in a medium before it are reduced too (over the index). Formulas as in
-W. J. Smith, Modern Optical Engineering.
+determinant 1. Distances before and behind the lens are in mm of the medium there, and reduced (over its index) in the
+formulas, which are those of W. J. Smith, Modern Optical Engineering.
 """
 
 import math
@@ -183,19 +183,27 @@ class Paraxial:
         return matrix.then(refraction(last)) if last_refracts else matrix
 
     @property
+    def image_index(self) -> float:
+        """Refractive index behind the last surface."""
+        return self.indices[-1]
+
+    @property
     def length_mm(self) -> float:
         """Distance from the first vertex to the last."""
         return sum(self.gaps_mm)
 
     @property
     def efl_mm(self) -> float:
-        """Effective focal length on the image side; inf for an afocal lens."""
+        """Effective focal length, 1 over the power; inf for an afocal lens.
+
+        Times the index of a medium, it is the focal length on that medium's side.
+        """
         return _ratio(-1.0, self.whole.c, self._whole_size.c)
 
     @property
     def bfl_mm(self) -> float:
         """Distance from the last vertex to the rear focal point; inf for an afocal lens."""
-        return _ratio(-self.whole.a, self.whole.c, self._whole_size.c)
+        return self.image_index * _ratio(-self.whole.a, self.whole.c, self._whole_size.c)
 
     @property
     def ffl_mm(self) -> float:
@@ -210,22 +218,23 @@ class Paraxial:
     @property
     def rear_principal_mm(self) -> float:
         """Distance from the first vertex to the rear principal plane; inf for an afocal lens."""
-        return self.length_mm + _ratio(1.0 - self.whole.a, self.whole.c, self._whole_size.c)
+        return self.length_mm + self.image_index * _ratio(1.0 - self.whole.a, self.whole.c, self._whole_size.c)
 
     def image_mm(self, object_mm: float) -> float:
         """Return the image distance behind the last vertex, given the object distance before the first."""
         if math.isinf(object_mm):
             return self.bfl_mm
         m, reduced, size = self.whole, object_mm / self.indices[0], self._whole_size
-        return _ratio(-(m.a * reduced + m.b), m.c * reduced + m.d, size.c * abs(reduced) + size.d)
+        image = _ratio(-(m.a * reduced + m.b), m.c * reduced + m.d, size.c * abs(reduced) + size.d)
+        return self.image_index * image
 
     def object_mm(self, image_mm: float) -> float:
         """Return the object distance before the first vertex, given the image distance behind the last.
 
         Negative for a virtual object, with its image between the lens and its rear focal point.
         """
-        m = self.whole
-        return self.indices[0] * quotient(-(m.b + m.d * image_mm), self.magnification_onto(image_mm))
+        m, reduced = self.whole, image_mm / self.image_index
+        return self.indices[0] * quotient(-(m.b + m.d * reduced), self.magnification_onto(image_mm))
 
     def magnification(self, object_mm: float) -> float:
         """Return the transverse magnification for an object distance; negative for an inverted image."""
@@ -236,19 +245,19 @@ class Paraxial:
 
     def magnification_onto(self, image_mm: float) -> float:
         """Return the transverse magnification for an image distance behind the last vertex; 0 at the focus."""
-        size = self._whole_size
-        value = self.whole.a + self.whole.c * image_mm
-        return 0.0 if abs(value) <= ROUNDED * (size.a + size.c * abs(image_mm)) else value
+        size, reduced = self._whole_size, image_mm / self.image_index
+        value = self.whole.a + self.whole.c * reduced
+        return 0.0 if abs(value) <= ROUNDED * (size.a + size.c * abs(reduced)) else value
 
     def chief_height_mm(self, image_mm: float) -> float:
         """Return the height at a plane behind the last vertex of the ray through the stop's centre with slope 1 there.
 
         The slope is reduced. By the optical invariant, this is also twice the stop's radius times the f-number of the
-        light cone to the axis at this plane; 0 in the exit pupil.
+        light cone to the axis at this plane, 1 / (2 n' u'); 0 in the exit pupil.
         """
-        size = self._sizes[1]
-        value = self.from_stop.b + self.from_stop.d * image_mm
-        return 0.0 if abs(value) <= ROUNDED * (size.b + size.d * abs(image_mm)) else value
+        size, reduced = self._sizes[1], image_mm / self.image_index
+        value = self.from_stop.b + self.from_stop.d * reduced
+        return 0.0 if abs(value) <= ROUNDED * (size.b + size.d * abs(reduced)) else value
 
     def chief_scale_mm(self, object_mm: float, image_mm: float) -> float:
         """Return the height at a plane of an object point's chief ray with slope 1.
@@ -287,7 +296,7 @@ class Paraxial:
     def exit_pupil(self, stop_radius_mm: float) -> tuple[float, float]:
         """Return z and diameter of the stop's image in image space, in mm; both inf if telecentric."""
         m, size = self.from_stop, self._sizes[1]
-        z = -_ratio(m.b, m.d, size.d)
+        z = -self.image_index * _ratio(m.b, m.d, size.d)
         return self.length_mm + z if math.isfinite(z) else math.inf, abs(_ratio(2 * stop_radius_mm, m.d, size.d))
 
 

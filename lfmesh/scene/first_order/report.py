@@ -41,7 +41,7 @@ class FirstOrder(Shown):
     wavelength_nm: float
     """The primary wavelength."""
     efl_mm: float
-    """Effective focal length, on the image side if the lens has an object medium."""
+    """Effective focal length: 1 over the power. Times the index of a medium, it is the focal length on that side."""
     bfl_mm: float
     """Distance from the last vertex to the rear focal point."""
     ffl_mm: float
@@ -72,7 +72,8 @@ class FirstOrder(Shown):
     magnification: float
     """Transverse magnification between these two planes; negative for an inverted image."""
     working_f_number: float
-    """Image-side f-number, 1 / (2 u') of the paraxial marginal ray that meets the axis at the lenslets or sensor."""
+    """Image-side f-number, 1 / (2 n' u') of the paraxial marginal ray that meets the axis at the lenslets or sensor; n'
+    is the image index."""
     microlens_f_number: float | None
     """Distance from the lenslet to the sensor, reduced to air, over the pitch: f/p in the microlens focal
     plane."""
@@ -119,7 +120,7 @@ class FirstOrder(Shown):
     views: the near end of the refocus range, the plane in focus, the far end. Both distances are inf if no real object
     is sharp."""
     cover_shift_mm: float | None = None
-    """Shift of the image away from the lens by the sensor's cover, t (1 - 1/n); None without a cover. The sensor
+    """Shift of the image away from the lens by the sensor's cover, t (1 - n'/n); None without a cover. The sensor
     stays where the scene puts it; the other figures are for the plane behind the cover."""
     by_wavelength: tuple[AtWavelength, ...] = ()
     """The lens at each wavelength or band, if there are several."""
@@ -128,6 +129,8 @@ class FirstOrder(Shown):
     y–z section."""
     object_index: float = 1.0
     """Refractive index of the medium before the lens."""
+    image_index: float = 1.0
+    """Refractive index of the medium between the lens and the sensor."""
     image_x_shift_mm: float | None = None
     """Distance behind the image plane of the image of the plane in focus in the x–z section."""
     focused: tuple[FocusedLenslets, ...] = ()
@@ -157,7 +160,7 @@ class FirstOrder(Shown):
         rows = [
             ("camera", self.kind),
             ("wavelength", f"{self.wavelength_nm:g} nm"),
-            *self._object_medium_in_words(),
+            *self._media_in_words(),
             ("effective focal length", _mm(self.efl_mm)),
             ("back focal length", f"{_mm(self.bfl_mm)} behind the last vertex"),
             ("front focal length", f"{_mm(self.ffl_mm)} from the first vertex"),
@@ -227,11 +230,11 @@ class FirstOrder(Shown):
             return "without bounds"
         return " × ".join(f"{angle:.4g}°" for angle in self.field.angles_deg)
 
-    def _object_medium_in_words(self) -> Iterator[tuple[str, str]]:
-        """Yield the medium before the lens, if it is not air, and the focal length on its side."""
-        if self.object_index != AIR:
-            front = _mm(self.object_index * self.efl_mm)
-            yield "object medium", f"index {self.object_index:.6g}: {front} is the focal length on its side"
+    def _media_in_words(self) -> Iterator[tuple[str, str]]:
+        """Yield the media before and behind the lens that are not air, and the focal length on their side."""
+        for name, index in (("object medium", self.object_index), ("image medium", self.image_index)):
+            if index != AIR:
+                yield name, f"index {index:.6g}: {_mm(index * self.efl_mm)} is the focal length on its side"
 
     def _lenslets_in_words(self) -> str:
         """Return the position of a focused camera's lenslets."""

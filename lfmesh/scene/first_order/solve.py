@@ -10,7 +10,6 @@ from lfmesh.scene.camera.gaps import room_mm
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.lenslet_optics import lenslet_optics
 from lfmesh.scene.camera.mla import MicrolensArray
-from lfmesh.scene.camera.sensor import Sensor
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray, quotient
 from lfmesh.scene.literals import at_least, at_most
@@ -77,55 +76,68 @@ def solved(scene: Scene) -> Scene:
     return scene.changed({"camera": camera.model_dump()}, solves=True)
 
 
-def air_thickness_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
-    """Return the reduced thickness of the array's plate, t/n."""
-    return mla.thickness_mm / refractive_index(mla.medium, wavelength_nm)
+def apparent_thickness_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the thickness of the array's plate as seen from outside, t/n; n is relative to the image medium."""
+    mla = _array_of(camera)
+    return mla.thickness_mm / camera.relative_index(mla.medium, wavelength_nm)
 
 
-def cover_shift_mm(sensor: Sensor, wavelength_nm: float) -> float:
-    """Return the image shift away from the lens by the sensor's cover, t (1 - 1/n); 0 without a cover."""
-    if sensor.cover is None:
+def cover_shift_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the image shift away from the lens by the sensor's cover, t (1 - 1/n); 0 without a cover.
+
+    The index n is relative to the image medium.
+    """
+    cover = camera.sensor.cover
+    if cover is None:
         return 0.0
-    return sensor.cover.thickness_mm * (1.0 - 1.0 / refractive_index(sensor.cover.medium, wavelength_nm))
+    return cover.thickness_mm * (1.0 - 1.0 / camera.relative_index(cover.medium, wavelength_nm))
 
 
-def lenslet_focal_length_mm(mla: MicrolensArray, wavelength_nm: float) -> tuple[float, ...]:
+def lenslet_focal_length_mm(camera: Camera, wavelength_nm: float) -> tuple[float, ...]:
     """Return the focal length of each lenslet type of a solved array: R / (n − 1), or that of both faces.
 
-    For cylinders, in the section with the power of the curved face.
+    It is in the image medium, and n relative to that. For cylinders, in the section with the power of the curved face.
     """
+    mla = _array_of(camera)
     if mla.has_back:
-        return tuple(lenslet_optics(mla, wavelength_nm, kind).focal_length_mm for kind in range(mla.types))
-    n = refractive_index(mla.medium, wavelength_nm)
+        return tuple(lenslet_optics(camera, wavelength_nm, kind).focal_length_mm for kind in range(mla.types))
+    n = camera.relative_index(mla.medium, wavelength_nm)
     return tuple(radius / (n - 1) for radius in mla.radius_mm or ())
 
 
-def front_principal_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
-    """Return the distance, as in air, of the front principal points behind the array's face towards the lens.
+def front_principal_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the apparent distance of the front principal points behind the array's face towards the lens.
 
     With one curved face they are its apexes, seen t/n behind the flat face if that faces the lens. The lens focuses on
     their plane.
     """
+    mla = _array_of(camera)
     if mla.has_back:
-        return lenslet_optics(mla, wavelength_nm).front_principal_mm
-    return air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "sensor" else 0.0
+        return lenslet_optics(camera, wavelength_nm).front_principal_mm
+    return apparent_thickness_mm(camera, wavelength_nm) if mla.curved_side == "sensor" else 0.0
 
 
-def rear_principal_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
-    """Return the distance, as in air, from the rear principal points to the array's face towards the sensor."""
+def rear_principal_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the apparent distance from the rear principal points to the array's face towards the sensor."""
+    mla = _array_of(camera)
     if mla.has_back:
-        return lenslet_optics(mla, wavelength_nm).rear_principal_mm
-    return air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "lens" else 0.0
+        return lenslet_optics(camera, wavelength_nm).rear_principal_mm
+    return apparent_thickness_mm(camera, wavelength_nm) if mla.curved_side == "lens" else 0.0
 
 
 def image_plane_mm(camera: Camera, wavelength_nm: float) -> float:
-    """Return the distance from the last vertex to the plane that the lens focuses on, in mm of air.
+    """Return the distance from the last vertex to the plane that the lens focuses on, in mm of the image medium.
 
     With an array, it is the plane of the lenslets' front principal points.
     """
     if camera.mla is None:
-        return (camera.sensor.distance_mm or math.nan) - cover_shift_mm(camera.sensor, wavelength_nm)
-    return (camera.mla.distance_mm or math.nan) + front_principal_mm(camera.mla, wavelength_nm)
+        return (camera.sensor.distance_mm or math.nan) - cover_shift_mm(camera, wavelength_nm)
+    return (camera.mla.distance_mm or math.nan) + front_principal_mm(camera, wavelength_nm)
+
+
+def _array_of(camera: Camera) -> MicrolensArray:
+    assert camera.mla is not None
+    return camera.mla
 
 
 def _with_radii(mla: MicrolensArray, wavelength_nm: float) -> MicrolensArray:
@@ -140,11 +152,11 @@ def _with_distances(camera: Camera, wavelength_nm: float) -> Camera:
     if mla is None:
         if sensor.distance_mm is None:
             distance = _focused_image_mm(camera, "camera.sensor.distance_mm", wavelength_nm)
-            sensor = _changed(sensor, distance_mm=distance + cover_shift_mm(sensor, wavelength_nm))
+            sensor = _changed(sensor, distance_mm=distance + cover_shift_mm(camera, wavelength_nm))
         return _changed(camera, sensor=sensor)
     if mla.distance_mm is None:
         distance = _focused_image_mm(camera, "camera.mla.distance_mm", wavelength_nm)
-        distance -= front_principal_mm(mla, wavelength_nm)
+        distance -= front_principal_mm(camera, wavelength_nm)
         if not math.isfinite(distance):
             raise SceneError(
                 "camera.mla.distance_mm: missing, and cannot be solved: the two faces of the array make lenslets "
@@ -157,7 +169,7 @@ def _with_distances(camera: Camera, wavelength_nm: float) -> Camera:
             )
         mla = _changed(mla, distance_mm=distance)
     if sensor.distance_mm is None:
-        behind = _focal_plane_mm(mla, wavelength_nm) + cover_shift_mm(sensor, wavelength_nm)
+        behind = _focal_plane_mm(camera, wavelength_nm) + cover_shift_mm(camera, wavelength_nm)
         sensor = _changed(sensor, distance_mm=behind)
     return _changed(camera, mla=mla, sensor=sensor)
 
@@ -190,8 +202,9 @@ def _focused_image_mm(camera: Camera, omitted: str, wavelength_nm: float) -> flo
 def _image_by_track_mm(camera: Camera, lens: Paraxial, wavelength_nm: float) -> float:
     """Return the image distance of an object `focus_mm` before the sensor.
 
-    The distances x and x' from the focal points satisfy x x' = n f² (Newton), n the index before the lens. Of the two
-    solutions for a given sum x + x', the object's distance is the larger one.
+    The distances x and x' from the focal points satisfy x x' = n n' f² (Newton), with 1/f the power and n, n' the
+    indices before and behind the lens. Of the two solutions for a given sum x + x', the object's distance is the larger
+    one.
     """
     assert camera.focus_mm is not None
     rest = -lens.ffl_mm + lens.length_mm + lens.bfl_mm + _behind_image_mm(camera, wavelength_nm)
@@ -201,13 +214,14 @@ def _image_by_track_mm(camera: Camera, lens: Paraxial, wavelength_nm: float) -> 
     if math.isinf(camera.focus_mm):
         image = lens.bfl_mm
     else:
-        both, least = camera.focus_mm - rest, 2 * math.sqrt(lens.indices[0]) * focal
+        indices = lens.indices[0] * lens.image_index
+        both, least = camera.focus_mm - rest, 2 * math.sqrt(indices) * focal
         if both < least:
             raise SceneError(
                 f"camera.focus_mm = {camera.focus_mm:g}: no plane this far before the sensor is imaged onto it; give "
                 f"{at_least(rest + least)} or more"
             )
-        image = lens.bfl_mm + 2 * lens.indices[0] * focal**2 / (both + math.sqrt(both**2 - least**2))
+        image = lens.bfl_mm + 2 * indices * focal**2 / (both + math.sqrt(both**2 - least**2))
     if image <= 0:
         raise SceneError(f"camera.focus_mm = {camera.focus_mm:g}: the image would lie inside the lens; focus nearer")
     return image
@@ -219,13 +233,13 @@ def _behind_image_mm(camera: Camera, wavelength_nm: float) -> float:
     The distance behind the lens need not be known.
     """
     mla = camera.mla
-    shift = cover_shift_mm(camera.sensor, wavelength_nm)
+    shift = cover_shift_mm(camera, wavelength_nm)
     if mla is None:
         return shift
     behind = camera.sensor.distance_mm
     if behind is None:
-        behind = _focal_plane_mm(mla, wavelength_nm) + shift
-    return mla.thickness_mm - front_principal_mm(mla, wavelength_nm) + behind
+        behind = _focal_plane_mm(camera, wavelength_nm) + shift
+    return mla.thickness_mm - front_principal_mm(camera, wavelength_nm) + behind
 
 
 def focus_wished_mm(camera: Camera, wavelength_nm: float) -> float | None:
@@ -241,11 +255,11 @@ def focus_wished_mm(camera: Camera, wavelength_nm: float) -> float | None:
     )
 
 
-def _focal_plane_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
+def _focal_plane_mm(camera: Camera, wavelength_nm: float) -> float:
     """Return the distance from the array's rear face to the focal plane of the first lenslet type."""
-    focal_length = lenslet_focal_length_mm(mla, wavelength_nm)[0]
-    air = rear_principal_mm(mla, wavelength_nm)
-    if not 0 < focal_length - air < math.inf:
+    mla, focal_length = _array_of(camera), lenslet_focal_length_mm(camera, wavelength_nm)[0]
+    inside = rear_principal_mm(camera, wavelength_nm)
+    if not 0 < focal_length - inside < math.inf:
         if not 0 < focal_length < math.inf:
             raise SceneError(
                 f"camera.mla: the first lenslet type diverges (focal length {focal_length:.4g} mm), and has no focal "
@@ -255,10 +269,10 @@ def _focal_plane_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
             "the two faces focus light inside their plate or before it; give a thinner plate or larger radii"
             if mla.has_back
             else f"the lenslets' focal length of {focal_length:.6g} mm ends inside their plate; with "
-            f"thickness_mm at most {at_most(mla.thickness_mm * focal_length / air * (1 - BEYOND))} it would not"
+            f"thickness_mm at most {at_most(mla.thickness_mm * focal_length / inside * (1 - BEYOND))} it would not"
         )
         raise SceneError(f"camera.sensor.distance_mm: missing, and there is no focal plane to put it in: {why}")
-    return focal_length - air
+    return focal_length - inside
 
 
 def _with_stop(camera: Camera, wavelength_nm: float) -> Lens:
@@ -328,11 +342,11 @@ def _beam_mm(camera: Camera, paraxial: Paraxial, object_mm: float, image: float)
     lens = camera.lens
     radius = lens.surfaces[paraxial.stop].semi_diameter_mm or math.nan
     marginal = paraxial.heights_mm(paraxial.marginal_ray(object_mm, radius))
-    behind = paraxial.from_stop(Ray(0.0, 1.0))
+    behind, reduced = paraxial.from_stop(Ray(0.0, 1.0)), image / paraxial.image_index
     width, height = camera.sensor.size_mm
     if camera.mla is not None:
         width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
-    slope = quotient(0.5 * math.hypot(width, height), abs(behind.height_mm + image * behind.angle))
+    slope = quotient(0.5 * math.hypot(width, height), abs(behind.height_mm + reduced * behind.angle))
     chief = paraxial.heights_mm(Ray(-slope * paraxial.to_stop.b, slope * paraxial.to_stop.a))
     return [abs(beam) + abs(axis) for beam, axis in zip(marginal, chief, strict=True)]
 

@@ -10,7 +10,6 @@ from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.geometry.surfaces.bends import rim_hull
 from lfmesh.geometry.surfaces.surface import is_revolved
-from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.first_order.solve import cover_shift_mm
 from lfmesh.transport.aims.fitting import decentred
@@ -137,7 +136,7 @@ def aim_table(scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, 
     back_radius = widest_disk(lens, behind, front=False)
     glass = 1.0
     if mla.present and scene.camera.mla is not None:
-        glass = refractive_index(scene.camera.mla.medium, report.wavelength_nm)
+        glass = scene.camera.relative_index(scene.camera.mla.medium, report.wavelength_nm)
         lattice = mla.lenslets.lattice
         apexes = grid(*lattice.half_extent, apex_z(mla, glass)[1])
         behind = frame.points(moves[MLA_FRAME, CAMERA_FRAME], apexes)
@@ -170,11 +169,11 @@ def _sensor_corners(scene: Scene, moves: Array) -> Array:
 
 def _cover_of(scene: Scene) -> CoverPlate | None:
     """Return the plate before a scene's sensor; None without one."""
-    sensor = scene.camera.sensor
-    if sensor.cover is None:
+    camera, cover = scene.camera, scene.camera.sensor.cover
+    if cover is None:
         return None
-    indices = [refractive_index(sensor.cover.medium, wavelength) for wavelength in Lines.of(scene).wavelengths_nm]
-    return CoverPlate(sensor.cover.thickness_mm, cover_shift_mm(sensor, scene.primary_nm), np.array(indices))
+    indices = [camera.relative_index(cover.medium, wavelength) for wavelength in Lines.of(scene).wavelengths_nm]
+    return CoverPlate(cover.thickness_mm, cover_shift_mm(camera, scene.primary_nm), np.array(indices))
 
 
 def has_glass(scene: Scene) -> bool:
@@ -299,7 +298,7 @@ def _pupil(report: FirstOrder, lens: LensTables, *, front: bool) -> tuple[float,
     if not np.isfinite(z):
         # Telecentric: the pupil is so far away that all points see it in the same direction.
         plane_z = float(lens.box_low[2] if front else lens.box_high[2])
-        return (plane_z + FAR, FAR) if front else (plane_z - FAR, FAR / report.working_f_number)
+        return (plane_z + FAR, FAR) if front else (plane_z - FAR, FAR / (report.image_index * report.working_f_number))
     return z, diameter
 
 

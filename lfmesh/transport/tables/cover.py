@@ -61,7 +61,7 @@ def apparent_frames(scene: Scene, moves: Array) -> Array:
     scene : Scene
     moves : (6, 6, 3, 4) float64
     """
-    nearer = cover_shift_mm(scene.camera.sensor, scene.primary_nm)
+    nearer = cover_shift_mm(scene.camera, scene.primary_nm)
     if nearer == 0.0:
         return moves
     from_apparent = frame.frame(origin_mm=np.array([0.0, 0.0, -nearer]))

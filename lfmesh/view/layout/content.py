@@ -15,7 +15,7 @@ from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.first_order.focused import middle_of
 from lfmesh.scene.first_order.solve import (
-    air_thickness_mm,
+    apparent_thickness_mm,
     front_principal_mm,
     lenslet_focal_length_mm,
     rear_principal_mm,
@@ -297,7 +297,7 @@ def _lenslets_close_up(scene: Scene, facts: FirstOrder, world: World, aim: Aim) 
     to_camera = moves[MLA_FRAME, CAMERA_FRAME]
     toward_lens = mla.frame_side == "lens"
     # Seen through the plate, the apexes appear nearer to the lens; of two curved faces it sees the first.
-    seen_z = 0.0 if toward_lens else mla.thickness_mm - air_thickness_mm(mla, scene.primary_nm)
+    seen_z = 0.0 if toward_lens else mla.thickness_mm - apparent_thickness_mm(scene.camera, scene.primary_nm)
     if mla.has_back:
         seen_z = mla.thickness_mm
     at = lenslets.apexes
@@ -397,14 +397,14 @@ def _array_dimensions(
     front, back = sorted((z, z + float(into[2])))
     chain = [(front, back), (back, sensor_z)]
     lengths = [(a, b, f"{b - a:.4g} mm") for a, b in chain]
-    types = lenslet_focal_length_mm(mla, scene.primary_nm)
+    types = lenslet_focal_length_mm(scene.camera, scene.primary_nm)
     focal = sorted(types)[len(types) // 2] if image is not None else types[0]
     # From the rear principal plane, which is at the apex if light leaves there.
-    principal = back - rear_principal_mm(mla, scene.primary_nm)
+    principal = back - rear_principal_mm(scene.camera, scene.primary_nm)
     if focal > 0.0:
         lengths.append((principal, principal + focal, f"f = {focal:.4g} mm"))
     if image is not None and image > 0.0:
-        principal = front + front_principal_mm(mla, scene.primary_nm)
+        principal = front + front_principal_mm(scene.camera, scene.primary_nm)
         lengths.append((principal - image, principal, f"main image {image:.4g} mm before"))
     y = float(apex[1])
     return heights, [Dimension(np.array([a, y]), np.array([b, y]), text) for a, b, text in lengths]

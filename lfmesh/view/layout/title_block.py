@@ -63,7 +63,7 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
     if mla is None:
         return [first, [(4.0, "microlens array", "none: a conventional camera"), (4.0, "sensor", pixels)]]
     profile = f" {mla.profile_words}," if mla.profile_words else ", curved side"
-    focal = ", ".join(f"{f:.4g}" for f in lenslet_focal_length_mm(mla, facts.wavelength_nm))
+    focal = ", ".join(f"{f:.4g}" for f in lenslet_focal_length_mm(camera, facts.wavelength_nm))
     shape = ", both faces curved" if mla.has_back else f"{profile} to the {mla.curved_side}"
     micro = f"{facts.micro_image_diameter_px:.3g} px, every {facts.micro_image_pitch_px:.5g} px"
     number = f"f/{facts.microlens_f_number:.3g}"

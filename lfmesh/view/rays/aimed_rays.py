@@ -162,7 +162,7 @@ class Aim:
         """Return the paraxial shift in planes z per unit slope, for a ray through a fixed point of the stop."""
         whole, height = self.paraxial.whole, self._entry_shift
         angle = self.paraxial.indices[0] * (self.vergence * height - 1.0)
-        behind = z - self.paraxial.length_mm
+        behind = (z - self.paraxial.length_mm) / self.paraxial.image_index
         return np.asarray(whole.a * height + whole.b * angle + behind * (whole.c * height + whole.d * angle))
 
     def trace(self, slope: Array, entry: Array) -> list[AimedRay]:

@@ -326,4 +326,4 @@ def _focus_mm(world: World, path: Itinerary, object_mm: float) -> float:
     if first == second or max(first, second) >= len(numbers):
         return math.nan
     ray = paraxial.reflected_twice(numbers[first], numbers[second])(paraxial.axial_ray(object_mm))
-    return -ray.height_mm / ray.angle if ray.angle else math.inf
+    return -paraxial.image_index * ray.height_mm / ray.angle if ray.angle else math.inf

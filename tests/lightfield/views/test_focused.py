@@ -80,7 +80,7 @@ def test_lenslets_image_the_plane_in_focus_onto_the_sensor(kind: Any) -> None:
     scene = lf.focused(standard(), 4.0, kind)
     model = lf.RayModel.of(scene).paraxial
     assert scene.camera.mla is not None
-    (f,) = lenslet_focal_length_mm(scene.camera.mla, 587.6)
+    (f,) = lenslet_focal_length_mm(scene.camera, 587.6)
     b, a = model.lenslet_to_sensor_mm, -model.image_excess_mm(500.0)
     assert a == pytest.approx(4.0 * b * (1.0 if kind == "keplerian" else -1.0), rel=1e-9)
     assert 1.0 / a + 1.0 / b == pytest.approx(1.0 / f, rel=1e-9)

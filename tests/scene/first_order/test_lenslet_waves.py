@@ -48,7 +48,7 @@ def test_the_way_behind_a_face_is_that_of_first_order_optics(side: str, cover: d
     changes |= {"camera.sensor.cover": cover, "camera.mla.thickness_mm": 0.03}
     camera = lf.solved(lf.load(asset_path("scenes/diffraction.toml")).changed(changes)).camera
     assert camera.mla is not None
-    (lenslet,) = lenslets_of(camera.mla, camera.sensor, 587.6)
+    (lenslet,) = lenslets_of(camera, 587.6)
     assert lenslet.distance_mm == pytest.approx(lenslet_to_sensor_mm(camera, 587.6), rel=1e-12)
 
 

@@ -337,9 +337,9 @@ def test_the_report_has_a_line_for_every_figure(scene: Scene) -> None:
     # so do the two of the views, and of diffraction at a lenslet. Three refocused planes have a line each; no element
     # has a pose; one wavelength has no line of its own, without a cover there is no line of it, and none of two figures
     # of another section in x, nor of lenslets' sections. The image plane is that of the lenslets, and there are none of
-    # a focused camera. Air before the lens has no line. One line more says what diffraction at the lenslets makes of
-    # points. The field at other distances than that in focus has none.
-    assert len(lines) == len(FirstOrder.__dataclass_fields__) - 16
+    # a focused camera. Air before the lens has no line, nor has air behind it. One line more says what diffraction at
+    # the lenslets makes of points. The field at other distances than that in focus has none.
+    assert len(lines) == len(FirstOrder.__dataclass_fields__) - 17
     assert any(line.startswith("effective focal length 60.67") for line in lines)
 
 

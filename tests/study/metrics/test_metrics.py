@@ -11,7 +11,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.scene.first_order.solve import air_thickness_mm
+from lfmesh.scene.first_order.solve import apparent_thickness_mm
 from lfmesh.study.metrics.column import Column
 from lfmesh.study.metrics.comparison import Comparison
 from lfmesh.study.metrics.metrics import METRICS, columns_of
@@ -49,7 +49,8 @@ def distances_mm(scene: lf.Scene) -> tuple[float, float]:
     assert mla.distance_mm is not None
     assert ready.camera.sensor.distance_mm is not None
     apexes = ready.camera.lens.vertices_mm[-1] + mla.distance_mm
-    return apexes - facts.exit_pupil_z_mm, ready.camera.sensor.distance_mm + air_thickness_mm(mla, scene.primary_nm)
+    inside = apparent_thickness_mm(ready.camera, scene.primary_nm)
+    return apexes - facts.exit_pupil_z_mm, ready.camera.sensor.distance_mm + inside
 
 
 def lenslets_mm() -> Array:

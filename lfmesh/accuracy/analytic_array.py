@@ -17,7 +17,7 @@ from lfmesh.accuracy.analytic_rays import (
 )
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.geometry.array.lenslets import lenslets
-from lfmesh.optics.glass import AIR, refractive_index
+from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import BackFace, Scene
 
 CELL_STEPS = 6
@@ -32,6 +32,8 @@ class LensletArray:
     ----------
     turn : (3, 3) float64, origin : (3,) float64
         Frame of the array; its z runs from the curved face into the glass.
+    index, outside : float
+        Refractive index of the glass, and of the medium on both sides of the array.
     curvature : (rows, columns) float64, 1/mm
     apex : (rows, columns, 2) float64, mm
     centre : (rows, columns, 2) float64, mm
@@ -48,6 +50,7 @@ class LensletArray:
     origin: NDArray[np.float64]
     curved_to_lens: bool
     index: float
+    outside: float
     thickness: float
     hexagonal: bool
     pitch: float
@@ -110,13 +113,14 @@ def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletA
         origin = origin + turn @ [0.0, 0.0, mla.thickness_mm]
         turn = turn @ np.diag([1.0, 1.0, -1.0])
     index = refractive_index(mla.medium, wavelength_nm)
+    outside = refractive_index(scene.camera.lens.media[-1], wavelength_nm)
     profiles = [mla.profile_of(k) for k in range(kinds)]
     terms = np.zeros((kinds, max(len(given) for _, given in profiles)))
     for own, (_, given) in zip(terms, profiles, strict=True):
         own[: len(given)] = given
     face = LensletArray(
-        turn, origin, to_lens, index, mla.thickness_mm, lattice.hexagonal, lattice.pitch, curvature, apex, centre,
-        np.array([conic for conic, _ in profiles])[kind], terms[kind],
+        turn, origin, to_lens, index, outside, mla.thickness_mm, lattice.hexagonal, lattice.pitch, curvature, apex,
+        centre, np.array([conic for conic, _ in profiles])[kind], terms[kind],
         np.array([mla.cylinder_axis != "x", mla.cylinder_axis != "y"], np.float64),
     )  # fmt: skip
     return face if mla.back is None else replace(face, back=_other_face(face, mla.back))
@@ -141,18 +145,18 @@ def through_array(rays: Rays, mla: LensletArray) -> None:
     """Trace the rays through both faces of the array, in either order."""
     if mla.back is not None:
         order = (mla, mla.back) if mla.curved_to_lens else (mla.back, mla)
-        for face, (before, after) in zip(order, ((AIR, mla.index), (mla.index, AIR)), strict=True):
+        for face, (before, after) in zip(order, ((mla.outside, mla.index), (mla.index, mla.outside)), strict=True):
             rays.p, rays.d = into_frame(rays, face.turn, face.origin)
             _through_lenslets(rays, face, before, after)
             rays.p, rays.d = out_of_frame(rays.p, rays.d, face.turn, face.origin)
         return
     rays.p, rays.d = into_frame(rays, mla.turn, mla.origin)
     if mla.curved_to_lens:
-        _through_lenslets(rays, mla, AIR, mla.index)
-        _through_flat_face(rays, mla, mla.index, AIR)
+        _through_lenslets(rays, mla, mla.outside, mla.index)
+        _through_flat_face(rays, mla, mla.index, mla.outside)
     else:
-        _through_flat_face(rays, mla, AIR, mla.index)
-        _through_lenslets(rays, mla, mla.index, AIR)
+        _through_flat_face(rays, mla, mla.outside, mla.index)
+        _through_lenslets(rays, mla, mla.index, mla.outside)
     rays.p, rays.d = out_of_frame(rays.p, rays.d, mla.turn, mla.origin)
 
 

@@ -1,6 +1,6 @@
 """Tracing of given rays through a built scene, with every vertex recorded on request."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
@@ -29,7 +29,7 @@ from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.lens import with_diffraction
 from lfmesh.transport.tables.lines import Lines
-from lfmesh.transport.tables.media import with_media
+from lfmesh.transport.tables.media import index2_behind_lens, with_media
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.tables import ABSORBING, Media, Records, Tables
 from lfmesh.transport.tables.volumes import volumes_at
@@ -282,8 +282,8 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
 def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
     tables = world.tables
 
-    def media(within: Any) -> Media:
-        return world.media.table((wavelength_nm,), world.book, np.ravel(within).tolist())
+    def media(within: Any, table: Callable[..., Media] = world.media.table_behind_lens) -> Media:
+        return table((wavelength_nm,), world.book, np.ravel(within).tolist())
 
     interfaces = interface_tables(world.scene, (wavelength_nm,), world.book)
     cover = tables.cover
@@ -300,11 +300,14 @@ def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
         volumes, own = volumes_at(objects.volumes, world.scene, tables.frames, line, hosts)
         objects = objects._replace(volumes=volumes, media=own)
     return tables._replace(
-        lens=tables.lens._replace(aperture=None, media=media(tables.lens.medium), interfaces=interfaces.lens),
+        lens=tables.lens._replace(
+            aperture=None, media=media(tables.lens.medium, world.media.table), interfaces=interfaces.lens
+        ),
         mla=with_diffraction(
             world.scene, with_media(tables.mla, media(tables.mla.medium), interfaces=interfaces.mla), (wavelength_nm,)
         ),
         objects=objects,
+        sensor=tables.sensor._replace(index2=index2_behind_lens(world.scene, (wavelength_nm,))),
         polarised=polarisation_tables(world.scene, (wavelength_nm,), tables.frames, world.book),
         cover=cover,
     )

@@ -60,7 +60,7 @@ from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables
 from lfmesh.transport.tables.lens import lens_tables, mla_tables, with_diffracting_stop, with_diffraction
 from lfmesh.transport.tables.lines import Lines
-from lfmesh.transport.tables.media import MediumList, clear
+from lfmesh.transport.tables.media import MediumList, clear, index2_behind_lens
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables
 from lfmesh.transport.tables.particles import ParticleTables, corners_round, particle_tables, refuse_particles_behind
 from lfmesh.transport.tables.polarisation import polarisation_tables
@@ -324,11 +324,11 @@ class World(Shown):
 def book_of(scene: Scene, shape: LensShape) -> Book:
     """Return the book of a scene, with slots for lens elements, targets, spaces between lens surfaces, and coatings.
 
-    The spaces are the air or medium before the lens, the glass and air inside it, and the air behind it.
+    The spaces are the air or medium before the lens, glass and air inside it, and the air or medium behind it.
     """
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
-    before = "air" if shape.media[0] is None else "medium"
-    spaces = [f"the {before} before the lens", *[""] * (len(shape.media) - 2), "the air behind the lens"]
+    before, behind = ("air" if shape.media[end] is None else "medium" for end in (0, -1))
+    spaces = [f"the {before} before the lens", *[""] * (len(shape.media) - 2), f"the {behind} behind the lens"]
     element = -1
     for k, medium in enumerate(shape.media[1:-1], start=1):
         element += medium is not None
@@ -464,7 +464,8 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     warn_caller(doubtful)
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
-    sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
+    own = scene.camera.sensor
+    sensor = SensorTables(columns, rows, own.pixel_mm, own.reflectance, index2_behind_lens(scene, wavelengths_nm))
     particles = particle_tables(scene, lines, objects.media, lambda points: places_round(objects, targets, points))
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
     diffracting = with_diffraction(scene, mla, wavelengths_nm)

@@ -239,10 +239,12 @@ def faces_before_sensor(scene: Scene, tables: Tables, wavelength_nm: float) -> l
         for interface, height in zip(cover_faces(scene), (cover.height_mm, cover.gap_mm), strict=True):
             faces.append((sensor_z - height, interface, None, np.zeros((3, 4)), cover.medium))
     found = []
+    outside = scene.camera.medium_behind_lens
     for number, (z, interface, shape, frame, medium) in enumerate(faces):
-        behind = None if number % 2 else medium
-        taken = absorption_per_mm(behind, wavelength_nm) if absorbs and isinstance(behind, str) else 0.0
-        found.append(WaveFace(z, interface, refractive_index(behind, wavelength_nm), taken, shape, frame))
+        enters = number % 2 == 0
+        taken = absorption_per_mm(medium, wavelength_nm) if enters and absorbs and isinstance(medium, str) else 0.0
+        index = refractive_index(medium if enters else outside, wavelength_nm)
+        found.append(WaveFace(z, interface, index, taken, shape, frame))
     return found
 
 

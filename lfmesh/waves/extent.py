@@ -89,9 +89,10 @@ class Extent:
         pupil, sensor_z = self.pupil, float(self.sensor_mm[2])
         reach = 0.0
         # Plane faces keep each direction, so the grid need not hold the light across them.
-        p, index = np.vstack([pupil.middle, pupil.rays[1][:, :2]]), 1.0
+        index = pupil.index
+        p = np.vstack([pupil.middle, index * pupil.rays[1][:, :2]])
         z = self.faces[0].z_mm if self.faces else sensor_z
-        way = (z - pupil.focus_mm[2]) / math.sqrt(1.0 - float(pupil.middle @ pupil.middle))
+        way = (z - pupil.focus_mm[2]) / math.sqrt(index**2 - float(pupil.middle @ pupil.middle))
         places = np.vstack([pupil.focus_mm[:2] + way * pupil.middle, pupil.places_at(z)])
         for face in [*self.faces, None]:
             end = sensor_z if face is None else face.z_mm
@@ -101,13 +102,13 @@ class Extent:
                 reach = max(reach, float(np.abs(places[1:] - places[0]).max()))
             index = index if face is None else face.index
         cone = float(pupil.half.max())
-        rings, added, turned, index = FIRST_RINGS * pupil.wavelength_mm / (2.0 * cone), 0.0, 0.0, 1.0
+        rings, added, turned, index = FIRST_RINGS * pupil.wavelength_mm / (2.0 * cone), 0.0, 0.0, pupil.index
         for face in self.faces:
             steep, pitch = face.reach_mm(pupil.places_at(face.z_mm))
             turn = abs(face.index - index) * steep + (4.0 * pupil.wavelength_mm / pitch if pitch else 0.0)
             added += pitch + turn * (sensor_z - face.z_mm)
             turned, index = turned + turn, face.index
-        band = FIRST_BAND * (cone + turned) + (reach + rings + added) / abs(pupil.radius_mm)
+        band = FIRST_BAND * (cone + turned) + pupil.index * (reach + rings + added) / abs(pupil.radius_mm)
         return reach, rings, added, band
 
     def grid(self, fineness: float, words: str) -> Grid:

@@ -331,11 +331,12 @@ class Monochrome:
 
     @property
     def _beyond_focus(self) -> float:
-        """Reduced path along the middle ray from the focus to the sensor, mm: lengths over refractive indices."""
-        ends = [*(face.z_mm for face in self.faces), float(self.sensor[2])]
-        starts, indices = [float(self.pupil.focus_mm[2]), *ends[:-1]], [1.0, *(face.index for face in self.faces)]
-        way = sum((b - a) / index for a, b, index in zip(starts, ends, indices, strict=True))
-        return way / math.sqrt(1.0 - float(self.pupil.middle @ self.pupil.middle))
+        """Apparent path along the middle ray from the focus to the sensor, mm, seen from the medium behind the lens."""
+        ends, outside = [*(face.z_mm for face in self.faces), float(self.sensor[2])], self.pupil.index
+        starts, indices = [float(self.pupil.focus_mm[2]), *ends[:-1]], [outside, *(face.index for face in self.faces)]
+        way = sum((b - a) / (index / outside) for a, b, index in zip(starts, ends, indices, strict=True))
+        ahead = self.pupil.middle / outside
+        return way / math.sqrt(1.0 - float(ahead @ ahead))
 
     def converged(self, asked: Asked, report: Callable[[Progress], None] | None) -> PointSpread:
         """Return the point spread on the first grid with a change below the tolerance.
@@ -442,7 +443,7 @@ def _behind_lens(pupil: PupilWaves, grid: Grid) -> tuple[Spectrum, float]:
     """Return the light in the plane of the focus, and the sum of its amplitudes, √W, as if in phase."""
     px, py = grid.directions
     waves, shares = pupil.at(np.fft.fftshift(px), np.fft.fftshift(py))
-    light = Spectrum(grid, np.fft.ifftshift(waves * shares), pupil.focus_mm)
+    light = Spectrum(grid, np.fft.ifftshift(waves * shares), pupil.focus_mm, pupil.index)
     # Averaging over cells reduces the light far from the focus by this factor.
     taken = np.sinc(grid.places / (grid.n * grid.step_mm))
     seen = light.field * np.exp(2j * np.pi * pupil.rim_phase(grid.places, grid.places)) / np.outer(taken, taken)

@@ -5,7 +5,7 @@ through the exit pupil, seen from the focus at the centre. Its phase is the opti
 function. With the pupil at infinity, these are the ray's direction and the angle characteristic (M. Born, E. Wolf,
 Principles of Optics, 4.1). Its power is that of the corresponding solid angle at the point. Polynomials of the
 direction cosines are fitted to phase, amplitude and position in each aperture. A pupil at a finite distance sends
-spherical waves, see `rim_phase`.
+spherical waves, see `rim_phase`. Direction cosines are optical: times the index behind the lens.
 """
 
 import math
@@ -53,13 +53,15 @@ class PupilRays:
     ----------
     wavelength_mm : float
     middle, half : (2,) float64
-        Middle and half width of the range of direction cosines along x and y.
+        Middle and half width of the range of optical direction cosines along x and y.
     focus_mm : (3,) float64
         Point of closest approach of the rays and reference of phases, camera frame.
     radius_mm : float
         From the exit pupil to the focus along the middle direction; inf, or negative if the pupil lies behind it.
     rays : (n, 3) float64, (n, 3) float64
-        Positions in the air behind the lens, mm, and directions.
+        Positions behind the lens, mm, and directions.
+    index : float
+        Of the medium behind the lens.
     """
 
     wavelength_mm: float
@@ -68,9 +70,10 @@ class PupilRays:
     focus_mm: Array
     radius_mm: float
     rays: tuple[Array, Array]
+    index: float
 
     def places_at(self, z_mm: float) -> Array:
-        """Return the intersections of the rays with a plane in the air behind the lens, (n, 2) mm."""
+        """Return the intersections of the rays with a plane behind the lens, (n, 2) mm."""
         position, direction = self.rays
         return position[:, :2] + ((z_mm - position[:, 2]) / direction[:, 2])[:, None] * direction[:, :2]
 
@@ -105,7 +108,7 @@ class PupilWaves(PupilRays):
         Parameters
         ----------
         px : (columns,) float64
-            Direction cosines along x, evenly spaced, ascending.
+            Optical direction cosines along x, evenly spaced, ascending.
         py : (rows,) float64
 
         Returns
@@ -160,12 +163,13 @@ class PupilWaves(PupilRays):
         """
         if math.isinf(self.radius_mm):
             return np.zeros((len(y), len(x)))
-        x, y = x[None, :], y[:, None]
-        linear = self.middle[0] * x + self.middle[1] * y
+        x, y, ahead = x[None, :], y[:, None], self.middle / self.index
+        linear = ahead[0] * x + ahead[1] * y
         off = 2.0 * self.radius_mm * linear + x * x + y * y
         # |x − P| − R − linear, without subtracting large numbers.
         beyond = off / (np.sqrt(np.maximum(self.radius_mm**2 + off, 0.0)) + abs(self.radius_mm))
-        return np.asarray((math.copysign(1.0, self.radius_mm) * beyond - linear) / self.wavelength_mm)
+        path = self.index * (math.copysign(1.0, self.radius_mm) * beyond - linear)
+        return np.asarray(path / self.wavelength_mm)
 
 
 def pupil_waves(world: World, camera: SolvedCamera, point_mm: Array, wavelength_nm: float) -> PupilWaves:
@@ -229,6 +233,7 @@ def waves_of_field(
     seen, path = traced.onto_sphere(focus, radius)
     if not np.isfinite(path).all():
         raise LfmeshError(f"rays miss the sphere of the exit pupil, whose radius is {abs(radius):.4g} mm")
+    seen = traced.index_behind * seen
     stop = camera.paraxial.stop
     clips = [number != stop for number in rays.world.lens_shape.numbers] & (traced.heights.max(axis=0) > CLOSE_TO_RIM)
     columns = np.column_stack(
@@ -248,7 +253,9 @@ def waves_of_field(
             f"the wavefront behind the lens is too aberrated: polynomials of degree {DEGREES[-1]} leave "
             f"{plain(misfit, 2)} waves of it, {REFUSED:g} are allowed; give a smaller stop"
         )
-    return PupilWaves(wavelength, middle, half, focus, radius, (traced.position, direction), coefficients, misfit)
+    return PupilWaves(
+        wavelength, middle, half, focus, radius, (traced.position, direction), traced.index_behind, coefficients, misfit
+    )
 
 
 def pupil_rays(bundle: Bundle, camera: SolvedCamera, image_z_mm: float, wavelength_nm: float) -> PupilRays:
@@ -272,10 +279,11 @@ def pupil_rays(bundle: Bundle, camera: SolvedCamera, image_z_mm: float, waveleng
     place, direction = bundle.place[bundle.passes], bundle.direction[bundle.passes]
     position = np.column_stack([place, np.full(len(place), image_z_mm)])
     focus = _focus(position, direction)
-    low, high = direction[:, :2].min(axis=0), direction[:, :2].max(axis=0)
+    index = camera.scene.camera.image_index(wavelength_nm)
+    low, high = index * direction[:, :2].min(axis=0), index * direction[:, :2].max(axis=0)
     radius = _radius(camera, focus, direction)
     return PupilRays(
-        wavelength_nm / NM_PER_MM, 0.5 * (low + high), 0.5 * (high - low), focus, radius, (position, direction)
+        wavelength_nm / NM_PER_MM, 0.5 * (low + high), 0.5 * (high - low), focus, radius, (position, direction), index
     )
 
 

@@ -50,7 +50,7 @@ class LensShape:
     closures: list[Mesh]
     """closures[k] joins the rims of surfaces k and k + 1 and faces the axis."""
     media: list[Medium]
-    """Medium of each space: K + 1 entries, the object medium first, air last."""
+    """Medium of each space: K + 1 entries, the object medium first, the image medium last."""
     analytic: NDArray[np.bool_]
     """True for surfaces with an exact shape, False for meshes from a file."""
     errors_mm: Array

@@ -102,6 +102,14 @@ class Lens(Model):
             z.append(z[-1] + (surface.thickness_mm or 0.0))
         return tuple(z)
 
+    @property
+    def last_interface(self) -> int:
+        """Number of the last surface that is not only a stop; 0 if there is none."""
+        number = len(self.surfaces) - 1
+        while number > 0 and self.is_pure_stop(number):
+            number -= 1
+        return max(number, 0)
+
     def element_of(self, number: int) -> int | None:
         """Return the index in `elements` of the element that contains surface `number`, or None.
 

@@ -9,7 +9,7 @@ from lfmesh.geometry.array.lattice import ROW_SPACING, Lattice, half_hexagon
 from lfmesh.geometry.array.lenslet_profile import is_steeper, next_fall, profile_shape
 from lfmesh.geometry.array.lenslets import Lenslets
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.tables.tables import MlaTables
+from lfmesh.transport.tables.tables import AIR, MlaTables
 
 Array = NDArray[np.float64]
 
@@ -59,8 +59,8 @@ def solid_angle(r: float, air: float, plate: float, glass: float) -> float:
 
 @inlined
 def glass_before_faces(mla: MlaTables, colour: int) -> float:
-    """Return the refractive index of the plate between sensor and lenslet faces; 1 without a plate."""
-    return mla.media.indices[mla.medium, colour] if mla.curved_to_lens else 1.0
+    """Return the relative index of the plate between sensor and lenslet faces to the medium outside; 1 without it."""
+    return mla.media.indices[mla.medium, colour] / mla.media.indices[AIR, colour] if mla.curved_to_lens else 1.0
 
 
 @inlined

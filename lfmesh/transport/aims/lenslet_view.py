@@ -20,7 +20,7 @@ from lfmesh.transport.aims.plate_view import NOTHING_SEEN, refract_if_possible, 
 from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.media import with_media
-from lfmesh.transport.tables.tables import LensletAim, MlaTables, Opening, SensorTables
+from lfmesh.transport.tables.tables import AIR, LensletAim, MlaTables, Opening, SensorTables
 
 ZONES = 2
 """Number of points of a lenslet, from its centre to each corner, at which the view is measured."""
@@ -112,7 +112,7 @@ def aim_through_lenslets(
         Between frames.
     sensor : SensorTables
     glass : float
-        Refractive index of the lenslets.
+        Refractive index of the lenslets, relative to the medium outside.
     """
     lattice = mla.lenslets.lattice
     sensor_z, lens_z = apex_z(mla, glass)
@@ -154,8 +154,8 @@ def aim_through_lenslets(
 
 
 def _at_few_indices(mla: MlaTables) -> MlaTables:
-    """Return the array's tables at few wavelengths, including the extreme lenslet indices."""
-    indices = np.unique(mla.media.indices[mla.medium])
+    """Return the array's tables at few wavelengths, including the extreme indices of the lenslets to the outside."""
+    indices = np.unique(mla.media.indices[mla.medium] / mla.media.indices[AIR])
     if len(indices) > MOST_INDICES:
         indices = indices[np.linspace(0, len(indices) - 1, MOST_INDICES).round().astype(np.int64)]
     return with_media(mla, mla.media._replace(indices=indices[None], absorption=None), medium=0)

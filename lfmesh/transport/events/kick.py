@@ -1,7 +1,7 @@
 """Diffraction at a lenslet's aperture, or the stop: a random change of a packet's direction.
 
-The change takes place in air, at the lenslet's face: before a packet from the air meets it, or after it has left into
-air. Of two faces with lenslets, the limiting one diffracts (`tables.lens.with_diffraction`).
+The change takes place outside the plate, at the lenslet's face: before a packet meets it from there, or after it has
+left it. Of two faces with lenslets, the limiting one diffracts (`tables.lens.with_diffraction`).
 
 The change is drawn from the aperture's Fraunhofer pattern (`optics.diffraction`), added to the direction cosines along
 the array, and independent of them. So a path and its reverse have the same density, and weights stay unchanged. Changes
@@ -57,7 +57,7 @@ def key_of_kick(key: np.uint64, events: int) -> np.uint64:
 
 @kernel
 def drawn_kick(apertures: Apertures, colour: int, numbers: tuple[float, float], key: np.uint64) -> tuple[float, float]:
-    """Return the change of direction cosines along the aperture, in air.
+    """Return the change of direction cosines along the aperture, in the medium of `Apertures.spread`.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def _drawn_in_tail(shape: int, end: float, key: np.uint64, first: int) -> float:
 def turned(
     kick: tuple[float, float], dx: float, dy: float, dz: float, nx: float, ny: float, nz: float
 ) -> tuple[bool, float, float, float]:
-    """Return whether a direction in air can be changed, and the result.
+    """Return whether a direction outside the plate can be changed, and the result.
 
     Parameters
     ----------

@@ -335,6 +335,6 @@ def set_sides(block: Array, i: int, packet: Any, mla: MlaTables, outward: bool, 
     number : int
         Row of the interface.
     """
-    glass = mla.media.indices[mla.medium, packet.colour]
-    block[rows.N_I + i], block[rows.N_T + i] = (glass, 1.0) if outward else (1.0, glass)
+    glass, outside = mla.media.indices[mla.medium, packet.colour], mla.media.indices[AIR, packet.colour]
+    block[rows.N_I + i], block[rows.N_T + i] = (glass, outside) if outward else (outside, glass)
     block[rows.NUMBER + i] = number

@@ -238,7 +238,7 @@ def _start_anew(packet: Any, n: int, camera: Camera, ghosts: GhostTables, option
         move = frames[SENSOR_FRAME, CAMERA_FRAME]
         x, y, z = point_through(move, packet.x, packet.y, 0.0)
         dx, dy, dz = direction_through(move, dx, dy, dz)
-        weight = area_of_sample(camera.sensor, options.pixels.samples) / (density * chance)
+        weight = area_of_sample(camera.sensor, options.pixels.samples, packet.colour) / (density * chance)
         _start_ray(room, n, Ray(x, y, z, dx, dy, dz), weight, 0.0)
 
 

@@ -138,9 +138,9 @@ def _end_on_mask(bundle: Array, lenslets: Lenslets) -> None:
 
 @inlined
 def _indices(mla: MlaTables, entering: bool, colour: int) -> tuple[float, float]:
-    """Return the indices before and after a face of the array, from the air if `entering`."""
-    glass = mla.media.indices[mla.medium, colour]
-    return (1.0, glass) if entering else (glass, 1.0)
+    """Return the indices before and after a face of the array, from outside if `entering`."""
+    glass, outside = mla.media.indices[mla.medium, colour], mla.media.indices[AIR, colour]
+    return (outside, glass) if entering else (glass, outside)
 
 
 @inlined

@@ -1,7 +1,7 @@
 """Plane faces behind the lens for ray blocks: the sensor's cover, and the sensor as a mirror.
 
 Faces are counted from the lens to the sensor: the front and rear face of the cover, if there is one, then the sensor.
-The medium is the cover's glass between its faces, and air elsewhere.
+The medium is the cover's glass between its faces, and the one behind the lens elsewhere.
 """
 
 from typing import Any
@@ -55,8 +55,9 @@ def at_plane(
 def _at_cover(
     bundle: Array, cover: CoverTables, face: int, to_sensor: bool, mirrors: bool, colour: int, book: Array
 ) -> None:
-    entering, glass = (face == FRONT_ROW) == to_sensor, cover.media.indices[cover.medium, colour]
-    indices = (1.0, glass) if entering else (glass, 1.0)
+    entering = (face == FRONT_ROW) == to_sensor
+    glass, outside = cover.media.indices[cover.medium, colour], cover.media.indices[AIR, colour]
+    indices = (outside, glass) if entering else (glass, outside)
     _meet_plane(bundle, cover.front_z if face == FRONT_ROW else cover.rear_z, 1.0 if to_sensor else -1.0)
     absorb(bundle, cover.media.absorption, AIR if entering else cover.medium, colour, book)
     divide(bundle, cover.interfaces, face, colour, indices, not entering, mirrors, book)

@@ -79,7 +79,10 @@ class Rays(NamedTuple):
 
 
 class CoverPlate(NamedTuple):
-    """Plate before the sensor: thickness, apparent shift of the sensor towards the lens (mm), indices by colour."""
+    """Plate before the sensor: thickness, apparent shift of the sensor towards the lens (mm), indices by colour.
+
+    Indices are relative to the medium outside.
+    """
 
     thickness: float
     nearer: float
@@ -277,7 +280,9 @@ def _land_behind(rays: Array, cover: CoverPlate, colour: int) -> None:
     """
     slopes = rays[:, 2:4] / np.where(rays[:, 4:5] > 0.0, rays[:, 4:5], 1.0)
     glass2 = cover.indices[colour] ** 2
-    in_glass = cover.thickness / np.sqrt(glass2 + (glass2 - 1.0) * (slopes**2).sum(axis=1, keepdims=True))
+    square = glass2 + (glass2 - 1.0) * (slopes**2).sum(axis=1, keepdims=True)
+    # A cover of less index than the medium outside reflects the steepest rays totally: they land nowhere.
+    in_glass = cover.thickness / np.sqrt(np.where(square > 0.0, square, np.nan))
     rays[:, :2] += (in_glass - (cover.thickness - cover.nearer)) * slopes
 
 

@@ -1,9 +1,9 @@
 """Pixels, the sources of the adjoint method: rays through the lenslets that show them the exit pupil.
 
 A pixel's power is the integral of radiance over its area and its directions, W = ∫∫ L cos θ dω dA. A packet carries the
-importance cos θ dA / density, in m² sr. Apart from T, interfaces conserve radiance over n², so the importance would
-gain (n_i/n_t)² at each. The pixel lies in air, so these factors multiply to 1/n² of the medium where the light starts.
-They are omitted, and the light is divided by n² instead.
+importance n'² cos θ dA / density, in m² sr, with n' the index before the pixel. Apart from T, interfaces conserve
+radiance over n², so the importance would gain (n_i/n_t)² at each: together, n'² over n² of the medium where the light
+starts. Importance has the first from the start, and the light is divided by n².
 """
 
 from collections.abc import Iterator
@@ -308,7 +308,7 @@ def _aim_rays(
     which, place : int
         Entry that holds the first sample of the next block, and the sample's place in it.
     """
-    area = area_of_sample(sensor, samples)
+    area = area_of_sample(sensor, samples, colour)
     # The sensor's normal towards the array.
     normal = move_direction(frames, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, -1.0)
     near, begun = 0, -1

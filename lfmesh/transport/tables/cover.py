@@ -46,15 +46,16 @@ def cover_tables(
     if cover is None:
         return None
     medium = known.in_camera(cover.medium)
-    media = known.table(wavelengths_nm, book, (medium,))
+    media = known.table_behind_lens(wavelengths_nm, book, (medium,))
     return CoverTables(-cover.height_mm, -cover.gap_mm, media, medium, interfaces)
 
 
 def apparent_frames(scene: Scene, moves: Array) -> Array:
     """Return the moves between frames with the sensor at its apparent place behind its cover.
 
-    A plane-parallel plate in air keeps directions and moves rays sideways, to first order as if the sensor were nearer
-    by t (1 - 1/n). Rays are aimed from there. Without a cover the moves are unchanged.
+    A plane-parallel plate keeps directions and moves rays sideways, to first order as if the sensor were nearer by
+    t (1 - 1/n), with n relative to the medium outside. Rays are aimed from there. Without a cover the moves are
+    unchanged.
 
     Parameters
     ----------

@@ -145,8 +145,8 @@ def array_faces(scene: Scene) -> list[Face]:
     names = mla.curved_coating, mla.flat_coating
     bodies = [f"coating of the mla's {side} face" for side in ("curved", "flat")]
     finishes = mla.curved_finish, mla.flat_finish
-    faces = zip(where, bodies, names, finishes, strict=True)
-    return [Face(place, body, name, None, mla.medium, finish) for place, body, name, finish in faces]
+    faces, outside = zip(where, bodies, names, finishes, strict=True), scene.camera.medium_behind_lens
+    return [Face(place, body, name, outside, mla.medium, finish) for place, body, name, finish in faces]
 
 
 def cover_faces(scene: Scene) -> list[Face]:
@@ -155,8 +155,8 @@ def cover_faces(scene: Scene) -> list[Face]:
     if cover is None:
         return []
     return [
-        Face(f"camera.sensor.cover, its {side} face", f"coating of the cover's {side} face", cover.coating, None,
-             cover.medium)
+        Face(f"camera.sensor.cover, its {side} face", f"coating of the cover's {side} face", cover.coating,
+             scene.camera.medium_behind_lens, cover.medium)
         for side in ("front", "rear")
     ]  # fmt: skip
 

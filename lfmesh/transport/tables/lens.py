@@ -97,7 +97,8 @@ def lens_tables(
     # Larger by a rounding error, so that even a flat surface has a box that rays can enter.
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
-    medium = np.array([known.before_lens, *(known.in_camera(each) for each in shape.media[1:])])
+    inside = [known.in_camera(each) for each in shape.media[1:-1]]
+    medium = np.array([known.before_lens, *inside, known.behind_lens])
     media = known.table(wavelengths_nm, book, medium.tolist())
     order, by_roots, ordered = surface_order(shape)
     return mesh, LensTables(
@@ -270,7 +271,7 @@ def mla_tables(
     """
     mla = scene.camera.mla
     medium = known.in_camera(mla.medium) if mla is not None else AIR
-    media = known.table(wavelengths_nm, book, (medium,))
+    media = known.table_behind_lens(wavelengths_nm, book, (medium,))
     if mla is None:
         nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
         empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
@@ -312,7 +313,9 @@ def with_diffraction(scene: Scene, mla: MlaTables, wavelengths_nm: tuple[float, 
         width = given.pitch_mm * (1.0 + given.form.pitch_error)
     # A cylinder ends with the array along its axis.
     axis = given.cylinder_axis if face.row == CURVED_ROW or given.back is None else given.back.cylinder_axis
-    spread = np.outer(np.array(wavelengths_nm) * 1e-6, [float(axis != each) for each in "xy"]) / width
+    # Wavelengths in the medium outside the plate, where directions change.
+    waves = np.array(wavelengths_nm) * 1e-6 / mla.media.indices[AIR]
+    spread = np.outer(waves, [float(axis != each) for each in "xy"]) / width
     cells = hexagon_cells() if shape == HEXAGON else NO_CELLS
     # Interfaces of the cover and, for lenslets that face the lens, of the array; others diffract a packet before.
     events = _events_in_cover(scene) + (FACES_OF_ARRAY if face.curved_to_lens else 0)
@@ -360,7 +363,8 @@ def _limiting_face(given: MicrolensArray, mla: MlaTables, colour: int) -> tuple[
     """
     if mla.back is None:
         return mla, 1.0
-    index, pitch = float(mla.media.indices[mla.medium, colour]), given.pitch_mm
+    outside = mla.media.indices[AIR, colour]
+    index, pitch = float(mla.media.indices[mla.medium, colour] / outside), given.pitch_mm
     reduced = mla.lenslets.thickness / index
     at_lens, at_sensor = (
         1.0 - reduced * (index - 1.0) * float(each.lenslets.curvature.mean()) for each in (mla.back, mla)

@@ -1,8 +1,8 @@
 """Media of a scene: air, and the glasses of lens, array and bodies in object space, each with a number.
 
 Packets carry the number of their medium; `Media` has the properties. Glasses of one index with different absorption are
-different media. In object space number 0 is the medium around bodies: air, or the object medium of the lens, which has
-its own number among the spaces of the lens.
+different media. Number 0 is the medium outside the lens: before it air or the object medium, behind it air or the image
+medium. Among the spaces of the lens these two have numbers of their own. Both are clear.
 """
 
 from collections.abc import Iterable
@@ -47,13 +47,14 @@ class MediumList:
     def of(cls, scene: Scene) -> "MediumList":
         """Return the media of a scene."""
         camera = scene.camera
-        inside = [surface.medium for surface in camera.lens.surfaces]
+        inside = [surface.medium for surface in camera.lens.surfaces[: camera.lens.last_interface]]
         inside += [camera.mla.medium] if camera.mla is not None else []
         inside += [camera.sensor.cover.medium] if camera.sensor.cover is not None else []
         bodies = [target.refractor for target in scene.targets if target.refractor is not None]
         found = [
             (None, CLEAR),
             (camera.lens.media[0], CLEAR),
+            (camera.medium_behind_lens, CLEAR),
             *((medium, _dye_in_camera(scene, medium)) for medium in inside),
         ]
         found += [(body.medium, body.absorption_per_mm) for body in bodies]
@@ -64,6 +65,11 @@ class MediumList:
     def before_lens(self) -> int:
         """Number of the medium in front of the lens, among the spaces of the lens."""
         return self._number(self.scene.camera.lens.media[0], CLEAR)
+
+    @property
+    def behind_lens(self) -> int:
+        """Number of the medium behind the lens, among the spaces of the lens."""
+        return self._number(self.scene.camera.medium_behind_lens, CLEAR)
 
     def in_camera(self, medium: Medium) -> int:
         """Return the number of a medium of lens, array or cover."""
@@ -122,6 +128,20 @@ class MediumList:
         per_mm = np.array([self._absorption(number, wavelengths_nm) for number in range(len(self.media))])
         return Media(indices, Absorption(per_mm, slot))
 
+    def table_behind_lens(self, wavelengths_nm: tuple[float, ...], book: Book | None, within: Iterable[int]) -> Media:
+        """Return the media of the array or the sensor's cover at some wavelengths.
+
+        Parameters
+        ----------
+        wavelengths_nm : tuple of float
+        book : Book or None
+        within : iterable of int
+            As for `table`.
+        """
+        media = self.table(wavelengths_nm, book, within)
+        media.indices[AIR] = media.indices[self.behind_lens]
+        return media
+
     def table_of_objects(self, wavelengths_nm: tuple[float, ...], book: Book | None, within: Iterable[int]) -> Media:
         """Return the media of object space at some wavelengths, always with absorption: kernels compile once.
 
@@ -161,6 +181,11 @@ def without_absorption(media: Media) -> Media:
     """
     nothing = Absorption(np.zeros_like(media.indices), np.full(len(media.indices), NO_SLOT))
     return media._replace(absorption=nothing)
+
+
+def index2_behind_lens(scene: Scene, wavelengths_nm: Iterable[float]) -> Array:
+    """Return the squared index of the medium behind the lens at some wavelengths, (wavelengths,)."""
+    return np.array([scene.camera.image_index(wavelength_nm) ** 2 for wavelength_nm in wavelengths_nm])
 
 
 Region = TypeVar("Region", LensTables, MlaTables)

@@ -46,7 +46,7 @@ class Media(NamedTuple):
 
 
 AIR = 0
-"""Number of the medium that every scene has: air or, in object space, the medium around bodies, see `tables.media`."""
+"""Number of the medium that every scene has: air, or the medium outside the lens, see `tables.media`."""
 
 
 @by_address
@@ -90,7 +90,9 @@ class Apertures(NamedTuple):
     """Apertures of the lenslets, or the stop, for diffraction (see `events.kick`)."""
 
     shape: int  # RECTANGLE, HEXAGON or ROUND
-    spread: Array  # (wavelengths, 2) wavelength over width, in x and y; 0: the aperture has no end in that direction
+    # (wavelengths, 2) wavelength, for the array that outside it, over width, in x and y; 0: the aperture has no end in
+    # that direction
+    spread: Array
     quantiles: Array  # see `diffraction.sinc2_quantiles`
     cells: NDArray[np.float32]  # of a hexagon, see `diffraction.hexagon_cells`; else without rows
     row: int  # row of their face among the array's interfaces; −1 for the stop
@@ -146,6 +148,7 @@ class SensorTables(NamedTuple):
     rows: int
     pixel: float  # mm
     reflectance: float  # share of the light that is reflected; the rest is detected
+    index2: Array  # (wavelengths,) squared refractive index of the medium before the pixels
 
 
 @by_address

@@ -79,13 +79,14 @@ class _Interface:
 
     The normal is None where a facet represents a surface without formula; then it follows from the path. The table is
     None where light does not split, as on the sensor. A glass body has one row for each surrounding medium; `body` is
-    its number among the targets.
+    its number among the targets. `outside` is the number of the medium around that part of the scene.
     """
 
     normal: Vector | None
     table: Interfaces | None = None
     row: int = 0
     body: int | None = None
+    outside: int = AIR
 
 
 def history(rays: Rays, path: int) -> list[Step]:
@@ -109,13 +110,13 @@ def history(rays: Rays, path: int) -> list[Step]:
     steps: list[Step] = []
     first, end = int(rays.offsets[path]), int(rays.offsets[path + 1])
     to_camera = rays.world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
-    medium = _medium_beyond(rays, first, bool(frames.points(to_camera, rays.position[first][None])[0, 2] < 0.0))
+    medium = _medium_beyond(rays, first, _around(rays, frames.points(to_camera, rays.position[first][None])[0, 2]))
     for vertex in range(first, end):
         event, met = Event(int(rays.event[vertex])), _interface(rays, vertex, interfaces)
         incidence = reflectance = transmittance = None
         power = left = float(rays.power[vertex])
         if met is not None and vertex > first:
-            other = medium if met.table is None else _medium_beyond(rays, vertex, met.body is not None)
+            other = medium if met.table is None else _medium_beyond(rays, vertex, met.outside)
             n_i, n_t = refractive_index(medium, wavelength), refractive_index(other, wavelength)
             cosine = _cosine(rays, vertex, met.normal, n_i, n_t)
             row = met.row if met.body is None else _row_of_body(rays, met.body, medium, other)
@@ -187,15 +188,17 @@ def _interface(rays: Rays, vertex: int, interfaces: InterfaceTables) -> _Interfa
     if name in (CURVED, FLAT, BACK) and mla is not None:
         exact = name == FLAT or world.scene.transport.surface == "exact"
         normal, row = _of_array(rays, vertex, name) if exact else None, CURVED_ROW if name == CURVED else FLAT_ROW
-        return _Interface(normal, interfaces.mla, row)
+        return _Interface(normal, interfaces.mla, row, outside=world.media.behind_lens)
     if name in (SENSOR, FRONT, REAR):
         axis = frames.directions(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], [[0.0, 0.0, 1.0]])
         row = FRONT_ROW if name == FRONT else REAR_ROW
-        return _Interface(np.asarray(axis[0]), None if name == SENSOR else interfaces.cover, row)
+        table = None if name == SENSOR else interfaces.cover
+        return _Interface(np.asarray(axis[0]), table, row, outside=world.media.behind_lens)
     if rays.event[vertex] in (Event.TRANSMITTED, Event.REFLECTED):
         body = target_names(world).index(name)
         glass = world.scene.targets[body].refractor
-        return _Interface(None, interfaces.objects, body=body) if glass is not None else None
+        outside = world.media.before_lens
+        return _Interface(None, interfaces.objects, body=body, outside=outside) if glass is not None else None
     return None
 
 
@@ -232,7 +235,15 @@ def _of_array(rays: Rays, vertex: int, name: str) -> Vector:
     return np.asarray(frames.directions(moves[face.frame, WORLD_FRAME], normal[None])[0])
 
 
-def _medium_beyond(rays: Rays, vertex: int, in_objects: bool) -> Medium:
+def _around(rays: Rays, z: float) -> int:
+    """Return the number of the medium around all else at a place along the axis, mm from the first vertex."""
+    known = rays.world.media
+    if z < 0.0:
+        return known.before_lens
+    return known.behind_lens if z > rays.world.scene.camera.lens.vertices_mm[-1] else AIR
+
+
+def _medium_beyond(rays: Rays, vertex: int, outside: int) -> Medium:
     """Return the medium beyond an interface or around a start; targets emit into the surrounding medium."""
-    known, number = rays.world.media, max(int(rays.beyond[vertex]), AIR)
-    return known.media[known.before_lens if in_objects and number == AIR else number]
+    number = max(int(rays.beyond[vertex]), AIR)
+    return rays.world.media.media[outside if number == AIR else number]

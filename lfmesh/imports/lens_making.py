@@ -312,13 +312,6 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
             f"surface{'s' if len(left_out) > 1 else ''} {', '.join(left_out)} of the file: the same medium on both "
             "sides and no aperture; left out"
         )
-    if made.kept and made.media[-1] is not None:
-        last = made.kept[-1]
-        at, text = last.glass_line or (last.line, last.text)
-        why = (
-            "the image stands in this glass, and a lens here ends in air; a medium behind the last surface is not read"
-        )
-        report.refuse(at, text, why)
     if made.kept:
         made.image_mm = made.gaps_mm.pop()
         _stand_off_axis(prescription, made, numbers, report)
@@ -459,6 +452,10 @@ def _note(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, re
     far = "inf" if math.isinf(made.object_mm) else f"{made.object_mm:.10g}"
     report.notes.append(f"object: {far} mm before the first surface (camera.focus_mm)")
     report.notes.append(f"image: {made.image_mm:.10g} mm behind the last surface (camera.sensor.distance_mm)")
+    if paraxial.image_index != AIR:
+        report.notes.append(
+            f"the image stands in the medium behind the last surface: index {paraxial.image_index:.10g}"
+        )
     points = ", ".join(f"{math.hypot(point.x, point.y):g}" for point in prescription.fields)
     if points:
         unit = "degrees" if prescription.field_kind == "angle" else f"file units on the {prescription.field_kind}"

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from lfmesh.errors import GlassError, SceneError
+from lfmesh.optics.glass import AIR, absorption_per_mm, catalogue_name, refractive_index
 from lfmesh.optics.glass import Medium as GlassOrAir
-from lfmesh.optics.glass import absorption_per_mm, catalogue_name, refractive_index
 from lfmesh.optics.metals import metal_index
 from lfmesh.scene.light.spectra import Spectrum, curve_of
 from lfmesh.scene.literals import counted
@@ -212,6 +212,8 @@ def _glass_faults(scene: SceneParts) -> Iterator[Fault]:
     for place, outside in ((("camera",), scene.camera), (("camera", "lens"), scene.camera.lens)):
         if outside.object_medium is not None:
             media.append(((*place, "object_medium", "glass"), outside.object_medium.medium))
+    if scene.camera.image_medium is not None:
+        media.append((("camera", "image_medium", "glass"), scene.camera.image_medium.medium))
     for i, surface in enumerate(scene.camera.lens.surfaces):
         if surface.refractor is not None:
             media.append((("camera", "lens", "surfaces", i, "refractor", "glass"), surface.refractor.medium))
@@ -248,7 +250,8 @@ def _absorption_faults(scene: SceneParts) -> Iterator[Fault]:
         return
     media: list[tuple[Location, GlassOrAir]] = [
         (("camera", "lens", "surfaces", i, "glass"), surface.medium)
-        for i, surface in enumerate(scene.camera.lens.surfaces)
+        # The medium behind the last one is clear.
+        for i, surface in enumerate(scene.camera.lens.surfaces[: scene.camera.lens.last_interface])
     ]
     for i, surface in enumerate(scene.camera.lens.surfaces):
         if surface.refractor is not None:
@@ -273,6 +276,15 @@ def _absorption_faults(scene: SceneParts) -> Iterator[Fault]:
                 break
 
 
+def _index_behind_lens(scene: SceneParts) -> float:
+    """Return the index of the medium behind the lens at the primary wavelength; glasses are in the camera's air."""
+    camera = scene.camera
+    surfaces = camera.lens.surfaces
+    behind = camera.image_medium or (surfaces[-1] if surfaces else None)
+    medium = in_air(behind, camera.air).medium if behind is not None else None
+    return refractive_index(medium, scene.primary_nm)
+
+
 def _lenslet_faults(scene: SceneParts) -> Iterator[Fault]:
     mla = scene.camera.mla
     if mla is None:
@@ -280,11 +292,13 @@ def _lenslet_faults(scene: SceneParts) -> Iterator[Fault]:
     if not _checked_nm(scene):
         return
     n = refractive_index(in_air(mla, scene.camera.air).medium, scene.primary_nm)
-    if not n > 1.0:
+    outside = _index_behind_lens(scene)
+    if not n > outside:
         medium = "index" if mla.index is not None else "glass"
+        beside = "the air" if outside == AIR else "the medium behind the lens"
         yield Fault(
             ("camera", "mla", medium), getattr(mla, medium),
-            f"has the index {n:.6g} beside the air; it must be above 1 to bend light as lenslets do",
+            f"has the index {n:.6g} beside {beside}; it must be above {outside:.6g} to bend light as lenslets do",
         )  # fmt: skip
         return
     for kind, focal_length in enumerate(mla.focal_length_mm or ()):

@@ -22,6 +22,7 @@ BENCH = bench_camera(4, 4).replace(
 )
 BENCH = BENCH.replace("\nindex = 1.5", '\nglass = "SCHOTT/N-BK7"')
 BENCH = BENCH.replace("focus_mm = 500.0", "focus_mm = 500.0\nobject_medium = { index = 1.333 }")
+BENCH = BENCH.replace("[camera.lens]", "image_medium = { index = 1.2 }\n[camera.lens]")
 
 SCENE = f"""name = "bench"
 {BENCH}reflectance = 0.1
@@ -180,7 +181,7 @@ def test_a_lens_surface_with_a_harsh_key_is_read_or_refused(key: str) -> None:
 def test_lenslets_of_a_glass_that_bends_no_light_are_refused() -> None:
     text = BENCH.replace('glass = "SCHOTT/N-BK7"', "glass = { nd = 1.0, vd = 60.0 }")
     assert text != BENCH
-    with pytest.raises(LfmeshError, match=r"camera\.mla\.glass: has the index 1 beside the air"):
+    with pytest.raises(LfmeshError, match=r"camera\.mla\.glass: has the index 1 beside the medium behind"):
         loads(text)
 
 

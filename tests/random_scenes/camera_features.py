@@ -273,6 +273,13 @@ def tilted_sensor(draft: Draft, dice: Dice) -> bool | None:
     return None
 
 
+@feature(cameras=0.08, scenes=0.04)
+def immersed_sensor(draft: Draft, dice: Dice) -> bool | None:
+    """A medium behind the lens, round the array and the cover; it makes the lenslets weaker."""
+    draft.camera["image_medium"] = {"index": dice.between(1.05, 1.35)}
+    return None
+
+
 @feature(cameras=0.15, scenes=0.1)
 def coatings(draft: Draft, dice: Dice) -> bool | None:
     return coat(draft, dice, COATINGS)

@@ -47,6 +47,10 @@ class Camera(Model):
     """Clear medium that fills object space, such as { index = 1.333 }. The first surface, targets, lights, media and
     glass bodies are immersed in it; radiance and power are given for it. It overrides the medium of the lens file;
     { index = 1.0 } is air. Omitted: that of the lens file, else air."""
+    image_medium: Matter | None = None
+    """Clear medium between the lens and the sensor, such as { index = 1.336 }. The last surface looks into it; the
+    array, the sensor's cover and the pixels are immersed in it. It overrides the medium behind the last surface of the
+    lens; { index = 1.0 } is air. Omitted: that of the last surface, else air."""
     polariser_deg: Number | None = None
     """Ideal linear polariser right before the sensor: angle of the transmitted field, in degrees. It counts from the
     sensor's x axis towards its y axis (counter-clockwise as seen from behind the camera). The polariser absorbs the
@@ -63,10 +67,18 @@ class Camera(Model):
                 ("object_medium",), None,
                 "omit it: lens.surfaces[0] is a paraxial surface, and a thin lens stands in air",
             )  # fmt: skip
+        behind, last = self.image_medium, self.lens.last_interface
+        if behind is not None and behind.medium is not None and surfaces and surfaces[last].paraxial:
+            yield Fault(
+                ("image_medium",), None,
+                f"omit it: lens.surfaces[{last}] is a paraxial surface, and a thin lens stands in air",
+            )  # fmt: skip
 
     @property
     def medium_behind_lens(self) -> Medium:
         """Medium between the lens and the sensor; None for air."""
+        if self.image_medium is not None:
+            return self.image_medium.medium
         return self.lens.surfaces[-1].medium if self.lens.surfaces else None
 
     def image_index(self, wavelength_nm: float) -> float:

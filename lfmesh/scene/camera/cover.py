@@ -10,7 +10,7 @@ from lfmesh.scene.quantities import Index, Positive, Text
 
 
 class Cover(Model):
-    """A glass plate parallel to the sensor, with air on both sides.
+    """A glass plate parallel to the sensor, with the image medium or air on both sides.
 
     It tilts with the sensor and is unbounded.
     """
@@ -18,7 +18,7 @@ class Cover(Model):
     thickness_mm: Positive
     """Thickness, in mm."""
     gap_mm: Positive
-    """Air between the plate and the sensor, in mm."""
+    """Distance from the plate to the sensor, in mm."""
     index: Index | None = None
     """Refractive index of the plate. Or give `glass`."""
     glass: Glass | None = None

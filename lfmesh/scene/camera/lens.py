@@ -57,7 +57,8 @@ class Lens(Model):
     stop_semi_diameter_mm: Positive | None = None
     """Radius of the aperture stop, in mm. Or give `f_number` or `epd_mm`. Omitted: that of the prescription."""
     f_number: Positive | None = None
-    """Focal length over entrance pupil diameter (no unit), which sets the radius of the stop."""
+    """Focal length over entrance pupil diameter (no unit), which sets the radius of the stop. The focal length is one
+    over the power, whatever the media on both sides."""
     epd_mm: Positive | None = None
     """Diameter of the entrance pupil, in mm, which sets the radius of the stop."""
     elements: tuple[Element, ...] = ()
@@ -109,6 +110,23 @@ class Lens(Model):
         while number > 0 and self.is_pure_stop(number):
             number -= 1
         return max(number, 0)
+
+    def looking_into(self, matter: Matter) -> "Lens":
+        """Return the lens with another medium behind its last interface, and behind stops that follow.
+
+        Parameters
+        ----------
+        matter : Matter
+
+        Returns
+        -------
+        Lens
+        """
+        given = {"index": matter.index, "glass": matter.glass} if matter.medium is not None else {}
+        surfaces = list(self.surfaces)
+        for number in range(self.last_interface, len(surfaces)):
+            surfaces[number] = surfaces[number].model_copy(update={"index": None, "glass": None, **given})
+        return self.model_copy(update={"surfaces": tuple(surfaces)})
 
     def element_of(self, number: int) -> int | None:
         """Return the index in `elements` of the element that contains surface `number`, or None.
@@ -206,10 +224,6 @@ class Lens(Model):
         yield from self._stop_faults()
         yield from self._spacing_faults()
         yield from self._element_faults()
-        last = len(self.surfaces) - 1
-        if self.surfaces[last].medium is not None:
-            key = "glass" if self.surfaces[last].glass is not None else "index"
-            yield Fault(("surfaces", last, key), self.surfaces[last].medium, "the lens must end in air: omit this")
 
     def _stop_faults(self) -> Iterator[Fault]:
         stops = [i for i, surface in enumerate(self.surfaces) if surface.stop]

@@ -51,8 +51,8 @@ class MicrolensArray(Model):
     pitch_mm: Positive
     """Distance between the centres of neighbouring lenslets, in mm."""
     focal_length_mm: OneOrMore | None = None
-    """Focal length of a lenslet in air, in mm; a list of up to 3 makes a multi-focus array. Or give
-    `radius_mm`."""
+    """Focal length of a lenslet in air, in mm, whatever medium it is immersed in; a list of up to 3 makes a multi-focus
+    array. Or give `radius_mm`."""
     radius_mm: OneOrMore | None = None
     """Radius of the curved face, in mm: positive converges, whichever way the face looks; a list: one per type. Or give
     `focal_length_mm`."""

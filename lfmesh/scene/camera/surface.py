@@ -43,8 +43,8 @@ class Surface(Model):
     thickness_mm: NonNegative | None = None
     """Distance from this vertex to the next, in mm. Omitted: at the last surface only."""
     index: Index | None = None
-    """Refractive index behind the surface. Or give `glass`. Omitted: air; for a flat stop as the first surface, the
-    lens's object medium."""
+    """Refractive index behind the surface; behind the last one, of the medium up to the sensor. Or give `glass`.
+    Omitted: air; for a flat stop as the first surface, the lens's object medium."""
     glass: Glass | None = None
     """Glass behind the surface: a catalogue name such as "SCHOTT/N-BK7", or a dispersion such as { nd = 1.5168, vd =
     64.17 }."""

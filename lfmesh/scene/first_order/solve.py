@@ -32,8 +32,9 @@ def solved(scene: Scene) -> Scene:
 
     The lens file is inlined. Exactly one surface is the stop, with a semi-diameter in place of `f_number`, `epd_mm` and
     `stop_semi_diameter_mm`. The array has radii instead of focal lengths; array and sensor have distances.
-    `camera.object_medium` becomes the lens's, and `camera.air` the air of every glass. The solution is paraxial, at the
-    primary wavelength. A solved scene is returned unchanged.
+    `camera.object_medium` becomes the lens's, `camera.image_medium` the medium behind its last surface, and
+    `camera.air` the air of every glass. The solution is paraxial, at the primary wavelength. A solved scene is returned
+    unchanged.
 
     Parameters
     ----------
@@ -56,10 +57,14 @@ def solved(scene: Scene) -> Scene:
                 f"camera.lens.surfaces[{i}].refractor: its faces are not measured yet; lf.first_order, lf.build and "
                 "lf.render do that, or see lfmesh.geometry.lens.solved_camera"
             )
-    outside = scene.camera.object_medium
-    if outside is not None:
-        lens = _changed(lens, object_medium=outside)
-        scene = scene.model_copy(update={"camera": _changed(scene.camera, object_medium=None)})
+    before, behind = scene.camera.object_medium, scene.camera.image_medium
+    if before is not None:
+        lens = _changed(lens, object_medium=before)
+    if behind is not None:
+        lens = lens.looking_into(behind)
+    if before is not None or behind is not None:
+        outside = _changed(scene.camera, object_medium=None, image_medium=None)
+        scene = scene.model_copy(update={"camera": outside})
     if lens is not scene.camera.lens:
         # The lens was read after the scene was checked: check the two together.
         scene = scene.changed({"camera.lens": lens.model_dump()}, solves=True)

@@ -13,9 +13,10 @@ def glass_lines(scene: Scene) -> list[str]:
     outside = scene.camera.lens.object_medium
     if outside is not None and outside.glass is not None:
         places[outside.glass] = ["object medium"]
-    for i, surface in enumerate(scene.camera.lens.surfaces):
+    last = scene.camera.lens.last_interface
+    for i, surface in enumerate(scene.camera.lens.surfaces[: last + 1]):
         if surface.glass is not None:
-            places.setdefault(surface.glass, []).append(f"surface {i}")
+            places.setdefault(surface.glass, []).append(f"surface {i}" if i < last else "image medium")
     if scene.camera.mla is not None and scene.camera.mla.glass is not None:
         places.setdefault(scene.camera.mla.glass, []).append("mla")
     if scene.camera.sensor.cover is not None and scene.camera.sensor.cover.glass is not None:

@@ -116,6 +116,8 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     except GlassError as error:
         raise SceneError(f"{report.path}: {error}") from None
     kind, value = prescription.pupil
+    if kind == "image_slope":
+        prescription.pupil = kind, value = "working_f_number", 0.5 / (paraxial.image_index * value)
     # Both f-numbers agree for an object at infinity.
     of_infinity = kind == "f_number" or (kind == "working_f_number" and math.isinf(made.object_mm))
     f_number = value if of_infinity else None

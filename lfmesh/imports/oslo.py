@@ -282,7 +282,7 @@ class _Reader:
     def _on_puk(self, words: list[str]) -> None:
         """Read the slope of the marginal ray at the image."""
         slope = abs(number(words[0]))
-        self._pupil("working_f_number", 0.5 / self._above_zero([repr(slope)]))
+        self._pupil("image_slope", self._above_zero([repr(slope)]))
 
     def _pupil(self, kind: str, value: float) -> None:
         # The last such command counts.

@@ -122,7 +122,7 @@ class Prescription:
         Length of the file's unit.
     pupil : tuple of str and float
         Definition of the aperture: "epd", "f_number" (object at infinity), "working_f_number", "object_na", "image_na",
-        each with its value, or "stop" for the stop surface's own size.
+        "image_slope" (of the marginal ray), each with its value, or "stop" for the stop surface's own size.
     field_kind : str
         "angle" in degrees, "object" or "image": heights.
     makers : list of str

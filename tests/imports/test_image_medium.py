@@ -90,6 +90,20 @@ def test_an_aperture_of_the_images_side_counts_the_index(tmp_path: Path) -> None
     assert abs(marginal.angle) / VITREOUS == pytest.approx(math.tan(math.asin(0.1 / VITREOUS)), rel=1e-9)
 
 
+def test_the_slope_of_a_marginal_ray_is_that_behind_the_lens(tmp_path: Path) -> None:
+    """OSLO's PUK is u' itself, not n' u'."""
+    path = tmp_path / "eye.len"
+    path.write_text(
+        OSLO.replace("AIR; RD -20.0; TH 60.0", "GLA MOD V 1.336 1.336 1.336; RD -20.0; TH 60.0").replace(
+            "EBR 3.0", "PUK -0.05"
+        )
+    )
+    lens, _ = read_lens_file(path)
+    found = Paraxial.of(lens, 587.6)
+    marginal = found.whole(found.marginal_ray(400.0, lens.surfaces[0].semi_diameter_mm or math.nan))
+    assert abs(marginal.angle) / VITREOUS == pytest.approx(0.05, rel=1e-9)
+
+
 def test_a_scene_takes_the_medium_of_its_lens_file_or_another(tmp_path: Path) -> None:
     path = tmp_path / "eye.toml"
     write_lens_file(eye(index=VITREOUS), path)

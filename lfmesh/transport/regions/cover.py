@@ -117,8 +117,8 @@ def _meet_face(
     sense = 1.0 if down else -1.0
     z = cover.front_z if at_front else cover.rear_z
     x, y, _ = travel(flow, cover.media, packet, AIR if entering else cover.medium, (z - packet.z) / packet.dz)
-    glass, outside = cover.media.indices[cover.medium, packet.colour], cover.media.indices[AIR, packet.colour]
-    n_i, n_t = (outside, glass) if entering else (glass, outside)
+    glass, around = cover.media.indices[cover.medium, packet.colour], cover.media.indices[AIR, packet.colour]
+    n_i, n_t = (around, glass) if entering else (glass, around)
     cos_i = min(abs(packet.dz), 1.0)
     number = FRONT_ROW if at_front else REAR_ROW
     reflectance, transmittance, cos_t = divided(

@@ -242,13 +242,13 @@ def _sharp_shift_mm(scene: Scene, model: RayModel) -> float:
 
 def _held_px(model: RayModel) -> float:
     """Return the usable radius of a micro-image in pixels, as in `render_patches`."""
-    return min(0.5 * model.micro_image_pitch_px, 0.5 / model.f_number / model.slope_step) - BORDER
+    return min(0.5 * model.micro_image_pitch_px, model.pupil_slope / model.slope_step) - BORDER
 
 
 def _crosstalk(rays: ArrayRays, model: RayModel, object_mm: float, height_mm: float) -> CrossTalk:
     """Compute the cross-talk of the lenslet nearest to an image height towards a corner."""
     pitch, calibration = model.lenslet_pitch_mm, rays.calibration
-    reach = 0.5 * model.lenslet_to_sensor_mm / model.f_number + 0.5 * pitch
+    reach = model.lenslet_to_sensor_mm * model.pupil_slope + 0.5 * pitch
     # The cells of a ring begin half a pitch nearer, and the rows of hexagonal arrays are closer together.
     rings = min(MOST_RINGS, max(1, math.floor(reach / pitch + CLOSER)))
     rows, columns = calibration.known.shape
@@ -323,7 +323,7 @@ def _spread_of_views(
     u, v = (sense * part + middle for sense, part in zip(upright.senses, off.T, strict=True))
     row, column = np.divmod(lenslet, calibration.known.shape[1])
     off_axis = model.slope_step * np.abs(np.arange(count) - middle)
-    whole = np.flatnonzero(off_axis <= 0.5 / model.f_number - model.slope_step)
+    whole = np.flatnonzero(off_axis <= model.pupil_slope - model.slope_step)
     edge, central = int(whole.max(initial=-1)), count // 2
     sums = [_Spread(model.lenslet_pitch_mm) for _ in VIEWS]
     for i in (0, 1):

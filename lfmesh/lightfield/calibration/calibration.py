@@ -46,8 +46,9 @@ class Calibration:
     sensor_px : tuple of int
         Columns, rows.
     f_number : float
-        Of the main lens, on the image side.
+        Of the main lens: the exit pupil's distance from the array over its diameter.
     microlens_f_number : float
+        Distance of the lenslets from the sensor over their pitch.
     exit_pupil_z_mm, exit_pupil_diameter_mm : float
         Camera frame; inf if telecentric.
     pupil_to_array_mm, lenslet_to_sensor_mm : float
@@ -191,7 +192,7 @@ def calibration_of(
         lenslet_pitch_mm=model.lenslet_pitch_mm,
         pixel_mm=sensor.pixel_mm,
         sensor_px=sensor.pixels,
-        f_number=model.f_number,
+        f_number=model.image_index * model.f_number,
         microlens_f_number=facts.image_index * (facts.microlens_f_number or math.nan),
         exit_pupil_z_mm=facts.exit_pupil_z_mm,
         exit_pupil_diameter_mm=facts.exit_pupil_diameter_mm,

@@ -195,7 +195,7 @@ def _even_views(field: LightField) -> tuple[Samples, NDArray[np.bool_]]:
         raise LfmeshError(f"{columns} × {rows} views: depth needs {LEAST_VIEWS} views along each axis at least")
     off_axis = np.hypot(field.v_rad[:, None], field.u_rad[None, :])
     step = field.model.slope_step
-    usable = off_axis + BORDER * step <= 0.5 / field.model.f_number
+    usable = off_axis + BORDER * step <= field.model.pupil_slope
     with np.errstate(invalid="ignore"):
         known = np.isfinite(field.data)
         sums = np.where(known, field.data, 0.0).sum(axis=(2, 3, 4), dtype=np.float64)

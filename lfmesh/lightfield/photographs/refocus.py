@@ -138,8 +138,8 @@ def _aperture(field: LightField, f_number: float | None) -> Array:
     rows, columns = field.views
     if f_number is None:
         return np.ones((rows, columns))
-    step, widest = field.model.slope_step, field.model.f_number
-    narrowest = 0.5 / (LEAST_VIEWS_WIDE * step)
+    step, widest, index = field.model.slope_step, field.model.f_number, field.model.image_index
+    narrowest = 0.5 / (index * LEAST_VIEWS_WIDE * step)
     if not widest * (1.0 - ROUNDING) <= f_number <= narrowest:
         raise LfmeshError(
             f"f_number = {f_number:g}: must be from {widest:.6g}, what the lens recorded, to {narrowest:.6g}, an "
@@ -147,7 +147,7 @@ def _aperture(field: LightField, f_number: float | None) -> Array:
         )
     off_axis = np.hypot(field.v_rad[:, None], field.u_rad[None, :])
     # Views within half a view of the rim count by their part inside.
-    return np.clip((0.5 / f_number - off_axis) / step + 0.5, 0.0, 1.0)
+    return np.clip((0.5 / (index * f_number) - off_axis) / step + 0.5, 0.0, 1.0)
 
 
 def _shifted_sum(field: LightField, shift_mm: float, shares: Array, *, sharp: bool) -> tuple[Array, Array, Array]:

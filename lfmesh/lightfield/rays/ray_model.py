@@ -81,7 +81,7 @@ class RayModel:
         d, from the lenslets' rear principal points to the sensor, as if the medium around them filled the cover too.
     lenslet_pitch_mm, pixel_mm : float
     f_number : float
-        Of the main lens, at its focus: distance from the exit pupil to the lenslets over its diameter.
+        Of the main lens, on the image side, at its focus: 1 / (2 n' u').
     focus_shift_mm, focus_shift_mm2 : float
         Shift of the focus along z by spherical aberration, from an axial point's first-order image to the closest
         approach of the full aperture's rays. The second is divided by the object's distance from the front principal
@@ -151,7 +151,7 @@ class RayModel:
             - mla.pose.shift_mm[2],
             lenslet_pitch_mm=mla.pitch_mm * (1.0 + mla.form.pitch_error),
             pixel_mm=camera.sensor.pixel_mm,
-            f_number=facts.image_index * facts.working_f_number,
+            f_number=facts.working_f_number,
             focus_shift_mm=shift,
             focus_shift_mm2=slope,
             object_index=facts.object_index,
@@ -167,6 +167,11 @@ class RayModel:
     def slope_step(self) -> float:
         """Difference in direction, dx/dz, of neighbouring views at a lenslet: k = pixel/d, in rad."""
         return self.pixel_mm / self.lenslet_to_sensor_mm
+
+    @property
+    def pupil_slope(self) -> float:
+        """Largest direction, dx/dz, of light at a lenslet: half the exit pupil's diameter over its distance, in rad."""
+        return 0.5 / (self.image_index * self.f_number)
 
     @property
     def view_step_mm(self) -> float:

@@ -189,7 +189,7 @@ def _geometry(scene: Scene) -> tuple[Calibration, ShiftMap, float]:
     rays = ViewRays.of_camera(scene)
     model, calibration = RayModel.of(scene), rays.calibration
     # Pixels that the pupil fills, as for the fit of `TracedShift`.
-    radius = min(0.5 * calibration.pitch_px, 0.5 / model.f_number / model.slope_step) - BORDER
+    radius = min(0.5 * calibration.pitch_px, model.pupil_slope / model.slope_step) - BORDER
     count = view_count(calibration, None)
     places = np.arange(count) - 0.5 * (count - 1)
     usable = np.hypot(*np.meshgrid(places, places)) <= radius

@@ -52,7 +52,7 @@ def edge_shift_mm(edge: LightField, white: LightField) -> float:
     """
     if min(edge.data.shape[2:4]) < LEAST_ROWS:
         return float("nan")
-    inner = _inner_views(edge.v_rad, edge.u_rad, edge.model.f_number)
+    inner = _inner_views(edge.v_rad, edge.u_rad, edge.model)
     if not inner.any():
         return float("nan")
     columns, bright = (_columns(field) for field in (edge, white))
@@ -60,7 +60,7 @@ def edge_shift_mm(edge: LightField, white: LightField) -> float:
     known &= bright.min(axis=2) > DARK * bright.max(axis=2)
     # The pupil may lie elsewhere than in the nominal camera, for example if the array has moved along the axis.
     light = bright.mean(axis=2)
-    middle = known & (np.hypot(edge.v_rad[:, None], edge.u_rad[None, :]) <= 0.25 / edge.model.f_number)
+    middle = known & (np.hypot(edge.v_rad[:, None], edge.u_rad[None, :]) <= 0.5 * edge.model.pupil_slope)
     usual = light[middle].max(initial=0.0)
     known &= np.abs(light - usual) <= UNLIKE * usual
     v, u = np.nonzero(known)
@@ -89,21 +89,21 @@ def why_unknown(rows: int, columns: int, model: RayModel) -> str:
         return f"needs {LEAST_ROWS} × {LEAST_ROWS} lenslets at least, and the camera has {columns} × {rows}"
     count = max(1, math.floor(model.micro_image_pitch_px))
     directions = np.asarray(model.slope_step * (np.arange(count) - 0.5 * (count - 1)), dtype=np.float64)
-    seen = int(_inner_views(directions, directions, model.f_number).any(axis=0).sum())
+    seen = int(_inner_views(directions, directions, model).any(axis=0).sum())
     if seen >= LEAST_VIEWS:
         return ""
-    width = model.lenslet_to_sensor_mm / model.f_number / model.pixel_mm
+    width = 2.0 * model.lenslet_to_sensor_mm * model.pupil_slope / model.pixel_mm
     return (
         f"needs {LEAST_VIEWS} columns of views at least that the pupil does not cut, and the camera has {seen}: its "
         f"micro-images are {width:.3g} pixels wide; {LEAST_WIDTH_PX:g} are enough"
     )
 
 
-def _inner_views(v_rad: Array, u_rad: Array, f_number: float) -> NDArray[np.bool_]:
+def _inner_views(v_rad: Array, u_rad: Array, model: RayModel) -> NDArray[np.bool_]:
     """Tell which views lie inside the pupil's border, so that their light comes from their middle."""
     if len(u_rad) < LEAST_VIEWS:
         return np.zeros((len(v_rad), len(u_rad)), dtype=bool)
-    return np.asarray(np.hypot(v_rad[:, None], u_rad[None, :]) <= 0.5 / f_number - abs(u_rad[1] - u_rad[0]))
+    return np.asarray(np.hypot(v_rad[:, None], u_rad[None, :]) <= model.pupil_slope - abs(u_rad[1] - u_rad[0]))
 
 
 def _columns(field: LightField) -> Array:

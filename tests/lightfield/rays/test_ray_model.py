@@ -194,3 +194,15 @@ def test_distances_in_water_are_those_of_the_report(camera: Callable[..., Scene]
     for distance in (300.0, 800.0, 5000.0):
         assert real.distance_mm(real.shift_mm(distance)) == pytest.approx(distance, rel=1e-9)
     assert 0.0 < abs(real.focus_shift_mm) < 0.1 * facts.efl_mm
+
+
+def test_the_f_number_of_an_immersed_camera_is_that_of_its_report(camera: Callable[..., Scene]) -> None:
+    """It is 1 / (2 n' u'), of a cone of light with the slope u' behind the lens."""
+    again = {"camera.mla.distance_mm": None, "camera.sensor.distance_mm": None}
+    scene = camera().changed(again | {"camera.image_medium": {"index": 1.3}})
+    facts, model = first_order(scene), RayModel.of(scene)
+    assert model.f_number == facts.working_f_number
+    assert facts.lenslets_z_mm is not None
+    cone = 0.5 * facts.exit_pupil_diameter_mm / abs(facts.lenslets_z_mm - facts.exit_pupil_z_mm)
+    assert model.pupil_slope == pytest.approx(cone, rel=1e-12)
+    assert model.f_number == pytest.approx(1.0 / (2.0 * 1.3 * cone), rel=1e-12)

@@ -1,6 +1,6 @@
 """Fraunhofer diffraction at an aperture, as a random change of direction.
 
-Behind an aperture of area A, light of wavelength λ in air changes its direction cosines by k with the density
+Behind an aperture of area A, light of wavelength λ (in the medium) changes its direction cosines by k with the density
 |∫ exp(−2πi k·r/λ) d²r|² / (λ² A), the power spectrum of the aperture (Goodman, Introduction to Fourier Optics, 4.2, in
 direction cosines as in Harvey, Appl. Opt. 18, 1979). It depends only on the difference of the two directions, so it is
 reciprocal. In q = k/λ, cycles per mm:

@@ -29,7 +29,7 @@ class Entry:
     f_number: float
 
     def __str__(self) -> str:
-        count = sum(surface.medium is not None for surface in self.lens.surfaces)
+        count = sum(map(self.lens.has_glass_behind, range(len(self.lens.surfaces))))
         return (
             f"{LIBRARY}{self.name}: {self.lens.name}; {self.efl_mm:.5g} mm, f/{self.f_number:.3g}, {count} "
             f"element{'' if count == 1 else 's'}; {self.lens.source}"

@@ -111,6 +111,22 @@ class Lens(Model):
             number -= 1
         return max(number, 0)
 
+    def has_glass_behind(self, number: int) -> bool:
+        """Return whether glass of the lens follows surface `number`, rather than air or the medium outside.
+
+        Parameters
+        ----------
+        number : int
+            From 0.
+
+        Returns
+        -------
+        bool
+        """
+        if self.surfaces[number].medium is None or number >= self.last_interface:
+            return False
+        return not all(self.is_pure_stop(i) for i in range(number + 1))
+
     def looking_into(self, matter: Matter) -> "Lens":
         """Return the lens with another medium behind its last interface, and behind stops that follow.
 

@@ -83,7 +83,7 @@ class Lenslet(NamedTuple):
 
     @property
     def distance_mm(self) -> float:
-        """Distance from the lenslet to the sensor, as in air."""
+        """Distance from the lenslet to the sensor, as in the medium outside."""
         return sum(thickness / index for thickness, index in self.layers)
 
     @property
@@ -150,7 +150,7 @@ class Face:
         self.slant = np.sqrt((self.square**2).sum(axis=0))
 
     def refracted(self, s: tuple[float, float]) -> tuple[Array, Array, Array, Array]:
-        """Refract light of direction cosines s in air.
+        """Refract light of direction cosines s outside the plate.
 
         Returns
         -------
@@ -167,7 +167,7 @@ class Face:
         return into, onto, ratio * into + (off - ratio * onto) * normal, off
 
     def landing(self, s: tuple[float, float], kick: tuple[float, float] = (0.0, 0.0)) -> Array:
-        """Return the sensor points (2, n, n) of rays with direction cosines s, kicked in air at the face."""
+        """Return the sensor points (2, n, n) of rays with direction cosines s, kicked outside the face."""
         kicked_after = self.lenslet.side == "sensor"
         _, _, out, _ = self.refracted(s if kicked_after else (s[0] + kick[0], s[1] + kick[1]))
         cosines = self.lenslet.indices[1] * out[:2]
@@ -190,7 +190,7 @@ def _rows(lenslet: Lenslet, count: int) -> tuple[Array, Array, Array]:
 
 
 def _way(lenslet: Lenslet, cosines: Array, z: Array | float = 0.0) -> Array:
-    """Return the shift at the sensor of rays from a depth z, divided by their direction cosines as in air."""
+    """Return the shift at the sensor of rays from a depth z, divided by their direction cosines outside the plate."""
     transverse, way = (cosines**2).sum(axis=0), 0.0
     for thickness, index in lenslet.layers:
         # A totally reflected ray carries no light; see `ray_series`.

@@ -75,8 +75,7 @@ class FirstOrder(Shown):
     """Image-side f-number, 1 / (2 n' u') of the paraxial marginal ray that meets the axis at the lenslets or sensor; n'
     is the image index."""
     microlens_f_number: float | None
-    """Distance from the lenslet to the sensor, reduced to air, over the pitch: f/p in the microlens focal
-    plane."""
+    """Reduced distance from the lenslet to the sensor over the pitch: f/p in the microlens focal plane, in air."""
     micro_image_pitch_px: float | None
     """Distance of neighbouring micro-images on the sensor, in pixels."""
     micro_image_diameter_px: float | None
@@ -120,8 +119,9 @@ class FirstOrder(Shown):
     views: the near end of the refocus range, the plane in focus, the far end. Both distances are inf if no real object
     is sharp."""
     cover_shift_mm: float | None = None
-    """Shift of the image away from the lens by the sensor's cover, t (1 - n'/n); None without a cover. The sensor
-    stays where the scene puts it; the other figures are for the plane behind the cover."""
+    """Shift of the image away from the lens by the sensor's cover, t (1 - n'/n): negative for a cover of lower index
+    than the image medium. None without a cover. The sensor stays where the scene puts it; the other figures are for the
+    plane behind the cover."""
     by_wavelength: tuple[AtWavelength, ...] = ()
     """The lens at each wavelength or band, if there are several."""
     efl_x_mm: float | None = None
@@ -176,7 +176,8 @@ class FirstOrder(Shown):
             ("working f-number", f"{self.working_f_number:.4g}"),
         ]
         if self.cover_shift_mm is not None:
-            rows.append(("sensor's cover", f"moves the image {_um(self.cover_shift_mm)} away from the lens"))
+            way = "away from" if self.cover_shift_mm >= 0.0 else "towards"
+            rows.append(("sensor's cover", f"moves the image {_um(abs(self.cover_shift_mm))} {way} the lens"))
         if mla:
             rows += [
                 ("microlens f-number", f"{self.microlens_f_number:.4g}"),

@@ -48,18 +48,19 @@ class CameraFigure(NamedTuple):
 
 def _glass_edges(scene: Scene, _: FirstOrder) -> list[float]:
     lens = _measurable(scene.camera.lens)
-    return [lens.edge_mm(i) for i, surface in enumerate(lens.surfaces[:-1]) if surface.medium is not None]
+    return [lens.edge_mm(i) for i in range(len(lens.surfaces)) if lens.has_glass_behind(i)]
 
 
 def _glass_centres(scene: Scene, _: FirstOrder) -> list[float]:
-    return [surface.thickness_mm or 0.0 for surface in scene.camera.lens.surfaces if surface.medium is not None]
+    lens = scene.camera.lens
+    return [each.thickness_mm or 0.0 for i, each in enumerate(lens.surfaces) if lens.has_glass_behind(i)]
 
 
 def _air_spaces(scene: Scene, _: FirstOrder) -> list[float]:
     lens = _measurable(scene.camera.lens)
     spaces = [math.inf]
     for number, (front, back) in enumerate(zip(lens.surfaces, lens.surfaces[1:], strict=False)):
-        if front.medium is None:
+        if not lens.has_glass_behind(number):
             edge = min(front.semi_diameter_mm or math.inf, back.semi_diameter_mm or math.inf)
             spaces += [front.thickness_mm or 0.0, lens.gap_mm(number, edge)]
     return spaces[1:] or spaces

@@ -78,8 +78,9 @@ def assembly(scene: Scene) -> Ready:
         if not stop:
             axes.append(_axis(f"{place}.tilt_deg[0]", ELEMENT_TILT_DEG, f"{name}: tilt / deg"))
     for i in range(len(lens.surfaces) - 1):
-        if lens.surfaces[i].medium is None:
-            label = f"air after lens surface {i} / mm"
+        if not lens.has_glass_behind(i):
+            space = "air" if lens.surfaces[i].medium is None else "medium"
+            label = f"{space} after lens surface {i} / mm"
             axes.append(_axis(f"camera.lens.surfaces[{i}].thickness_mm", SPACING_MM, label))
     changes = {} if lens.elements else {"camera.lens.elements": [{"surfaces": surfaces} for surfaces in elements]}
     return Ready(tuple(axes), {**_quick(scene), **IMAGE_PATH, **changes}, metrics)
@@ -241,10 +242,10 @@ def _elements(lens: Lens) -> list[list[int]]:
     """Return the surfaces of each element, cemented ones together and the stop alone."""
     groups: list[list[int]] = []
     inside = False
-    for number, surface in enumerate(lens.surfaces):
+    for number in range(len(lens.surfaces)):
         if inside:
             groups[-1].append(number)
         else:
             groups.append([number])
-        inside = surface.medium is not None
+        inside = lens.has_glass_behind(number)
     return groups

@@ -77,7 +77,7 @@ def kick_of_ray(apertures: Apertures, bundle: Array, i: int, colour: int) -> tup
 
 @inlined
 def diffract(apertures: Any, row: int, bundle: Array, colour: int, sense: float) -> None:
-    """Deflect rays in air at the lenslets just met, if these diffract.
+    """Deflect rays outside the array at the lenslets just met, if these diffract.
 
     Parameters
     ----------

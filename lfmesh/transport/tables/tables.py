@@ -90,8 +90,8 @@ class Apertures(NamedTuple):
     """Apertures of the lenslets, or the stop, for diffraction (see `events.kick`)."""
 
     shape: int  # RECTANGLE, HEXAGON or ROUND
-    # (wavelengths, 2) wavelength, for the array that outside it, over width, in x and y; 0: the aperture has no end in
-    # that direction
+    # (wavelengths, 2) wavelength over width, in x and y, for the array the wavelength in the medium outside it; 0: the
+    # aperture has no end in that direction
     spread: Array
     quantiles: Array  # see `diffraction.sinc2_quantiles`
     cells: NDArray[np.float32]  # of a hexagon, see `diffraction.hexagon_cells`; else without rows

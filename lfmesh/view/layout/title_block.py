@@ -59,7 +59,8 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
         (1.0, "magnification", f"{facts.magnification:.4g}".replace("-", "−")),
         (1.0, "wavelength", f"{facts.wavelength_nm:g} nm"),
     ]
-    pixels = f"{sensor.pixels[0]} × {sensor.pixels[1]} pixels of {length_in_words(sensor.pixel_mm)}"
+    around = f" in n = {facts.image_index:.4g}" if facts.image_index != AIR else ""
+    pixels = f"{sensor.pixels[0]} × {sensor.pixels[1]} pixels of {length_in_words(sensor.pixel_mm)}{around}"
     if mla is None:
         return [first, [(4.0, "microlens array", "none: a conventional camera"), (4.0, "sensor", pixels)]]
     profile = f" {mla.profile_words}," if mla.profile_words else ", curved side"

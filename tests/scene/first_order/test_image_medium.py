@@ -6,9 +6,10 @@ from typing import Any
 import pytest
 
 from lfmesh.errors import SceneError
-from lfmesh.scene import Paraxial, Scene, first_order, loads, solved
+from lfmesh.scene import Lens, Paraxial, Scene, first_order, loads, solved
 from lfmesh.scene.first_order.conjugates import along_shifts
 from lfmesh.scene.first_order.meridional import heights_mm
+from lfmesh.scene.lens_library import Entry
 from tests.cameras import camera_without_array, close_up_camera
 
 OIL, VITREOUS = 1.4, 1.336
@@ -179,6 +180,10 @@ def test_an_immersed_cover_moves_the_image_by_what_its_index_differs() -> None:
     assert covered.image_z_mm == pytest.approx(bare.image_z_mm, rel=1e-12)
     matched = first_order(given.changed({"camera.sensor.cover": cover | {"index": OIL}}))
     assert matched.cover_shift_mm == 0.0
+    thinner = first_order(given.changed({"camera.sensor.cover": cover | {"index": 1.2}}))
+    assert thinner.cover_shift_mm == pytest.approx(0.5 * (1.0 - OIL / 1.2), rel=1e-12)
+    assert "moves the image 83.33 µm towards the lens" in str(thinner)
+    assert "moves the image 62.5 µm away from the lens" in str(covered)
 
 
 @pytest.mark.parametrize(("curved_side", "back"), [("lens", None), ("sensor", None), ("lens", {"radius_mm": 4.0})])
@@ -220,6 +225,12 @@ def test_an_index_of_one_is_air() -> None:
     plain = Scene(camera=close_up_camera())
     assert first_order(in_oil(image_medium={"index": 1.0})) == first_order(plain)
     assert solved(in_oil(image_medium={"index": 1.0})) == solved(plain)
+
+
+def test_a_library_lens_counts_its_elements_without_the_medium_behind_them() -> None:
+    """Gullstrand's eye: the cornea, and three shells of the lens with the aqueous humour before them."""
+    eye = Lens(surfaces=[*GULLSTRAND[:-1], GULLSTRAND[-1] | {"index": VITREOUS}])
+    assert ", 5 elements;" in str(Entry("eye", eye, 17.05, 2.0))
 
 
 def test_the_medium_behind_the_last_surface_gives_way_to_the_scenes() -> None:

@@ -10,6 +10,7 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.cli import main
 from lfmesh.study.tolerances.error_modes import TEMPLATES
+from tests.cameras import close_up_camera
 
 SCENE = asset_path("scenes/first_light.toml")
 
@@ -42,6 +43,17 @@ def test_assembly_moves_everything_in_every_way() -> None:
     assert "camera.lens.elements[2].pose.tilt_deg[0]" not in paths
     assert "camera.lens.surfaces[1].thickness_mm" in paths
     assert all(len(axis.listed()) == 4 for axis in ready.axes)
+
+
+def test_an_immersed_lens_has_the_elements_and_spaces_of_the_dry_one() -> None:
+    """Its stop stands behind the last surface, in the medium."""
+    dry = lf.Scene(camera=close_up_camera())
+    air, oil = (
+        TEMPLATES["assembly"](lf.solved(each)) for each in (dry, dry.changed({"camera.image_medium": {"index": 1.3}}))
+    )
+    assert [axis.path for axis in oil.axes] == [axis.path for axis in air.axes]
+    assert oil.changes == air.changes
+    assert "camera.lens.surfaces[1].thickness_mm" in [axis.path for axis in oil.axes]
 
 
 def test_a_template_without_what_it_is_about_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -114,6 +114,12 @@ def test_the_medium_of_the_objects_stands_beside_the_plane_in_focus(change, said
     assert said in [text.get_text() for text in figure.findobj(Text)]
 
 
+def test_the_medium_of_the_image_stands_beside_the_pixels():
+    scene = lf.load(asset_path("scenes/emitting_plane.toml")).changed({"camera.image_medium": {"index": 1.333}})
+    figure = sheet_figure(layout(scene))
+    assert any(text.get_text().endswith("µm in n = 1.333") for text in figure.findobj(Text))
+
+
 def test_names_are_written_as_they_are():
     name = "A $x^2$ & <tag> \\alpha"
     drawn = replace(first_light(), scene=first_light().scene.changed({"name": name}))

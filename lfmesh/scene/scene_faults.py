@@ -276,13 +276,12 @@ def _absorption_faults(scene: SceneParts) -> Iterator[Fault]:
                 break
 
 
-def _index_behind_lens(scene: SceneParts) -> float:
-    """Return the index of the medium behind the lens at the primary wavelength; glasses are in the camera's air."""
+def _medium_behind_lens(scene: SceneParts) -> GlassOrAir:
+    """Return the medium behind the lens, in the camera's air."""
     camera = scene.camera
     surfaces = camera.lens.surfaces
     behind = camera.image_medium or (surfaces[-1] if surfaces else None)
-    medium = in_air(behind, camera.air).medium if behind is not None else None
-    return refractive_index(medium, scene.primary_nm)
+    return in_air(behind, camera.air).medium if behind is not None else None
 
 
 def _lenslet_faults(scene: SceneParts) -> Iterator[Fault]:
@@ -291,16 +290,21 @@ def _lenslet_faults(scene: SceneParts) -> Iterator[Fault]:
         return
     if not _checked_nm(scene):
         return
-    n = refractive_index(in_air(mla, scene.camera.air).medium, scene.primary_nm)
-    outside = _index_behind_lens(scene)
-    if not n > outside:
-        medium = "index" if mla.index is not None else "glass"
-        beside = "the air" if outside == AIR else "the medium behind the lens"
-        yield Fault(
-            ("camera", "mla", medium), getattr(mla, medium),
-            f"has the index {n:.6g} beside {beside}; it must be above {outside:.6g} to bend light as lenslets do",
-        )  # fmt: skip
-        return
+    plate, behind = in_air(mla, scene.camera.air).medium, _medium_behind_lens(scene)
+    for wavelength in dict.fromkeys((scene.primary_nm, *_checked_nm(scene))):
+        n, outside = (refractive_index(each, wavelength) for each in (plate, behind))
+        # The ratio of two numbers that differ in the last digit can be 1.
+        if not n / outside > 1.0:
+            medium = "index" if mla.index is not None else "glass"
+            beside = "the air" if outside == AIR else "the medium behind the lens"
+            at = f" at {wavelength:g} nm" if wavelength != scene.primary_nm else ""
+            yield Fault(
+                ("camera", "mla", medium), getattr(mla, medium),
+                f"has the index {n:.6g} beside {beside}{at}; it must be above {outside:.6g} to bend light as lenslets "
+                "do",
+            )  # fmt: skip
+            return
+    n = refractive_index(plate, scene.primary_nm)
     for kind, focal_length in enumerate(mla.focal_length_mm or ()):
         radius = focal_length * (n - 1)
         if why := mla.cap_fault(radius, 1 / (n - 1), kind):

@@ -287,6 +287,22 @@ def test_faults_are_one_line_that_names_the_key(given: object, message: str) -> 
     assert "\n" not in str(refused.value)
 
 
+def test_lenslets_converge_at_every_wavelength() -> None:
+    """A liquid that disperses more than the array's glass has its index in the blue."""
+    cinnamon = {"glass": {"nd": 1.49, "vd": 20.0}}
+    red = in_oil(image_medium=cinnamon).changed({"transport.wavelengths_nm": [650.0]})
+    assert first_order(red).image_index < 1.49
+    with pytest.raises(SceneError, match=r"camera\.mla\.index = 1\.5: .* behind the lens at 450 nm; it must be above"):
+        red.changed({"transport.wavelengths_nm": [650.0, 450.0]})
+
+
+def test_indices_whose_ratio_is_one_are_refused() -> None:
+    """Two numbers below 2 that differ in the last digit have the ratio 1 + 1.1e-16, which is 1 in float64."""
+    plate = math.nextafter(2.0, 0.0)
+    with pytest.raises(SceneError, match="it must be above 2 to bend light"):
+        in_oil(image_medium={"index": math.nextafter(plate, 0.0)}).changed({"camera.mla.index": plate})
+
+
 def test_a_thin_lens_does_not_look_into_oil() -> None:
     thin = [{"paraxial": True, "focal_length_mm": 20.0, "semi_diameter_mm": 4.0, "stop": True}]
     with pytest.raises(SceneError, match=r"camera\.image_medium: omit it: .*a thin lens stands in air"):

@@ -275,8 +275,12 @@ def tilted_sensor(draft: Draft, dice: Dice) -> bool | None:
 
 @feature(cameras=0.08, scenes=0.04)
 def immersed_sensor(draft: Draft, dice: Dice) -> bool | None:
-    """A medium behind the lens, round the array and the cover; it makes the lenslets weaker."""
-    draft.camera["image_medium"] = {"index": dice.between(1.05, 1.35)}
+    """A medium behind the lens, around the array and the cover. It weakens the last surface and the lenslets."""
+    if any(surface.get("paraxial") for surface in draft.surfaces):
+        return False
+    array = array_of(draft)
+    most = 1.35 if array is None else 1.0 + 0.6 * (array["index"] - 1.0)
+    draft.camera["image_medium"] = {"index": dice.between(1.03, most)}
     return None
 
 

@@ -14,21 +14,24 @@ BEHIND_LENS = 10.0
 
 
 def _array(
-    plate: Plate, start: Array, towards: Array, *, pose: Pose | None = None, around: int = 3,
+    plate: Plate, start: Array, towards: Array, *, pose: Pose | None = None, around: int = 3, outside: float = 1.0,
     tolerance: float = 1e-12, relative: float = 1e-12,
 ) -> Outcome:  # fmt: skip
-    """Trace rays, given in the array's frame, to the sensor behind it, which moves with the array."""
+    """Trace rays, given in the array's frame, to the sensor behind it, which moves with the array.
+
+    The plate's index is relative to `outside`, the index of the medium around it.
+    """
     pose = pose or Pose()
     mla = MicrolensArray(
         layout="hexagonal" if plate.hexagonal else "square", count=(plate.columns, plate.rows), pitch_mm=plate.pitch,
-        radius_mm=(plate.radius,), conic=(plate.conic,), asphere_mm=(plate.asphere,), index=plate.index,
+        radius_mm=(plate.radius,), conic=(plate.conic,), asphere_mm=(plate.asphere,), index=plate.index * outside,
         thickness_mm=plate.thickness, distance_mm=BEHIND_LENS, pose=pose,
         back=BackFace(radius_mm=plate.back_radius) if np.isfinite(plate.back_radius) else None,
     )  # fmt: skip
     lens_end = sum(surface.thickness_mm or 0.0 for surface in SINGLET)
     scene = lens_scene(
         SINGLET, mla=mla, sensor_mm=max(60.0, 3.0 * plate.columns * plate.pitch), distance=plate.to_sensor
-    )
+    ).changed({"camera.image_medium": {"index": outside}})
     if pose != Pose():
         scene = scene.model_copy(
             update={"camera": scene.camera.model_copy(update={"sensor": scene.camera.sensor.model_copy(
@@ -82,6 +85,14 @@ def lenslets_5_um() -> Outcome:
 def lenslets_14_um() -> Outcome:
     """Cross lenslets of 14 µm."""
     return _small(0.014)
+
+
+@case
+def lenslets_14_um_in_oil() -> Outcome:
+    """Cross lenslets of 14 µm in oil, at slopes up to 1.5."""
+    plate = Plate(False, 0.014, 101, 101, 0.028, 0.042, 1.2, 0.028)
+    o, d = _cone(20_000, 0.6, 1.5)
+    return _array(plate, o, d, outside=1.5)
 
 
 @case

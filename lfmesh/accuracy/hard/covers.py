@@ -29,12 +29,18 @@ START_MM = 5.0
 
 
 def _through(
-    thickness: float, gap: float, index: float, directions: Array, *, distance: float = 40.0,
+    thickness: float, gap: float, index: float, directions: Array, *, outside: float = 1.0, distance: float = 40.0,
     tolerance: float = 1e-12, relative: float = 1e-12,
 ) -> Outcome:  # fmt: skip
-    """Trace rays from behind the lens to the sensor through a cover with a thickness, a gap and an index."""
+    """Trace rays from behind the lens to the sensor through a cover with a thickness, a gap and an index.
+
+    The index `outside` is that of the medium on both sides.
+    """
     cover = {"thickness_mm": thickness, "gap_mm": gap, "index": index}
-    scene = lens_scene(SINGLET, sensor_mm=1e13, distance=distance).changed({"camera.sensor.cover": cover})
+    scene = lens_scene(SINGLET, sensor_mm=1e13, distance=distance).changed(
+        {"camera.sensor.cover": cover, "camera.image_medium": {"index": outside}}
+    )
+    index /= outside
     z = scene.camera.lens.vertices_mm[-1] + START_MM
     starts = np.column_stack([disk(5.0, COUNT, 3), np.full(COUNT, z)])
     paths = trace(build(scene), starts, directions, split="transmit")
@@ -58,6 +64,13 @@ def cover_of_air() -> Outcome:
 def cover_of_index_4() -> Outcome:
     """Cross a cover of germanium's index."""
     return _through(2.0, 1.0, 4.0, tilted(COUNT, 1.0))
+
+
+@case
+def cover_of_air_in_oil() -> Outcome:
+    """Cross a cover of air between oil, at angles up to total reflection."""
+    # The tangent of the critical angle is 1.0206.
+    return _through(2.0, 1.0, 1.0, tilted(COUNT, 1.02), outside=1.4, tolerance=1e-9, relative=1e-9)
 
 
 @case

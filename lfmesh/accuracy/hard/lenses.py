@@ -63,6 +63,16 @@ def flat_port_in_water() -> Outcome:
 
 
 @case
+def steep_face_into_oil() -> Outcome:
+    """Leave dense glass through a steep face into oil, at angles up to and beyond total reflection."""
+    first, last = surfaces_of(((40.0, 8.0, 1.9), (-12.0, 0.0, 1.0)))
+    oiled = last.model_copy(update={"index": 1.4})
+    o, d = _bundle(20_000, 9.9)
+    # Near the critical angle the cosine behind the face has lost half of its digits.
+    return through_lens(lens_scene([first, oiled], sensor_mm=1e4), o, d, 1e-6, relative=1e-7)
+
+
+@case
 def gap_10_um() -> Outcome:
     """Cross 10 µm of air between curved faces."""
     return _air_gap(0.01)

@@ -178,6 +178,20 @@ def test_a_lens_surface_with_a_harsh_key_is_read_or_refused(key: str) -> None:
     is_read_or_refused(SCENE.replace("thickness_mm = 4.0, ", f"thickness_mm = 4.0, {key}, ", 1))
 
 
+@pytest.mark.parametrize(
+    "medium",
+    [
+        *["1.2", '"water"', "[]", "{}", "{ index = 1.0 }", "{ index = 0.5 }", "{ index = 10.0 }", "{ index = nan }"],
+        *['{ glass = "SCHOTT/N-BK7" }', '{ glass = "main/H2O/Daimon-20.0C" }', "{ glass = { nd = 1.0, vd = 1e-300 } }"],
+        *["{ index = 1.2, glass = 'SCHOTT/F2' }", "{ index = 1.5168000345005885 }", "{ index = 1.516800034500588 }"],
+        "{ glass = { sellmeier_b = [1e15, -1e15], sellmeier_c_um2 = [0.0, 1e15] } }",
+    ],
+)
+def test_a_harsh_medium_behind_the_lens_is_read_or_refused(medium: str) -> None:
+    assert SCENE.count("image_medium = { index = 1.2 }") == 1
+    is_read_or_refused(SCENE.replace("image_medium = { index = 1.2 }", f"image_medium = {medium}"))
+
+
 def test_lenslets_of_a_glass_that_bends_no_light_are_refused() -> None:
     text = BENCH.replace('glass = "SCHOTT/N-BK7"', "glass = { nd = 1.0, vd = 60.0 }")
     assert text != BENCH

@@ -82,7 +82,8 @@ class ArraySeen(NamedTuple):
     mla : MlaTables
     aim : LensletAim
     glass : float
-        Refractive index of the plate between the sensor and the lenslets' faces; 1 without a plate.
+        Refractive index of the plate between the sensor and the lenslets' faces, relative to the medium outside; 1
+        without a plate.
     """
 
     mla: MlaTables

@@ -1,4 +1,7 @@
-"""Rays from the sensor through a lenslet's face: their slope, and their spread on the face."""
+"""Rays from the sensor through a lenslet's face: their slope, and their spread on the face.
+
+Air stands for the medium outside the plate, whatever it is; indices of the plate are relative to it.
+"""
 
 from typing import Any
 

@@ -1,7 +1,7 @@
 """The microlens array in the mesh engine, folded: all lenslets of a type share one cell mesh about their centre.
 
-Array frame: z runs from the curved face into the glass. Space 0 is the air in front of the curved face, 1 the glass, 2
-the air behind the flat face. The curved faces lie in the thin layer top ≤ z ≤ valley, the only place where a ray
+Array frame: z runs from the curved face into the glass. Space 0 is outside, in front of the curved face, 1 the glass, 2
+outside, behind the flat face. The curved faces lie in the thin layer top ≤ z ≤ valley, the only place where a ray
 belongs to a cell. If it leaves the cell sideways first, it walks into the next cell. Below the layer the glass is one
 plate. The flat face is one plane and needs no Embree query.
 
@@ -308,7 +308,7 @@ def _ends_on_mask(
 def _ends_by_diffraction(
     apertures: Any, block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, options: Options, flow: Flow
 ) -> bool:
-    """Diffract a packet that meets a lenslet from the air; return True if that ends it.
+    """Diffract a packet that meets a lenslet from outside; return True if that ends it.
 
     Parameters
     ----------
@@ -367,7 +367,7 @@ def _send_from_curved_face(
     place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
-    """Queue a child of a packet at a curved face that the parent met from the air (`inward`) or from the glass.
+    """Queue a child of a packet at a curved face that the parent met from outside (`inward`) or from the glass.
 
     A child cannot meet its own lenslet again if that is a single sphere, or less steep than the child. If it then
     leaves the layer before the cell, it is through; else it may meet a neighbouring lenslet.

@@ -120,7 +120,7 @@ def _send_from_flat_face(
     place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
-    """Queue a child of a packet at the flat face that the parent met from the glass (`outward`) or from the air."""
+    """Queue a child of a packet at the flat face that the parent met from the glass (`outward`) or from outside."""
     mla, lens_surfaces, outward = place
     if refracts == outward:
         leave_mla(flow, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, not mla.curved_to_lens, lens_surfaces)

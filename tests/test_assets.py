@@ -136,6 +136,7 @@ def test_the_promised_scenes_are_there() -> None:
         "glossy",
         "ground_glass",
         "hot_metal",
+        "immersed_sensor",
         "panel_and_tube",
         "polarised",
         "tank",

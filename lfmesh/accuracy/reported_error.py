@@ -37,6 +37,7 @@ CROPS = {
     "ground_glass": (-1.0, 0.5),
     "hexagonal": (-1.0, 0.5),
     "hot_metal": (1.1, 0.5),
+    "immersed_sensor": (-1.0, 0.5),
     "light_field_microscope": (0.0, 0.0),
     "lit_chart": (-1.0, 0.5),
     "lytro_class": (-2.5, 1.5),

@@ -24,8 +24,8 @@ from tests.instances import instances
 SCENES = sorted(path.stem for path in asset_path("scenes").glob("*.toml"))
 LONG = [
     "circuit_board", "coated", "color_checker", "conventional", "diffraction", "emitting_plane", "fog", "glossy",
-    "ground_glass", "hexagonal", "hot_metal", "lit_chart", "aquarium", "lytro_class", "underwater", "polarised",
-    "crossed_cylinders",
+    "ground_glass", "hexagonal", "hot_metal", "immersed_sensor", "lit_chart", "aquarium", "lytro_class", "underwater",
+    "polarised", "crossed_cylinders",
 ]  # fmt: skip
 """Their sheets have the parts of those of other scenes."""
 LENSES = sorted(path.stem for path in asset_path("lenses").glob("*.toml"))

@@ -11,9 +11,7 @@ from tests.cameras import close_up_camera
 def test_a_medium_outside_the_lens_is_no_element(name: str) -> None:
     """The stop stands behind the last surface; the medium reaches to the sensor, and has no thickness."""
     dry = lf.Scene(camera=close_up_camera())
-    figures = []
-    for scene in (dry, dry.changed({"camera.image_medium": {"index": 1.3}})):
-        solved = lf.solved(scene)
-        figures.append(CAMERA_FIGURES[name].of(solved, lf.first_order(solved)))
-    assert figures[1] == figures[0]
-    assert len(figures[0]) > 0
+    cameras = [lf.solved(dry), lf.solved(dry.changed({"camera.image_medium": {"index": 1.3}}))]
+    of_air, of_oil = (CAMERA_FIGURES[name].of(camera, lf.first_order(camera)) for camera in cameras)
+    assert of_oil == of_air
+    assert of_air

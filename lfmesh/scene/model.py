@@ -20,6 +20,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from lfmesh.errors import SceneError
+from lfmesh.scene.key_places import ENTRY, NAME, KeyPlace, key_places
 from lfmesh.scene.literals import literal, shown_path
 
 if TYPE_CHECKING:
@@ -32,6 +33,9 @@ MOST_FAULTS = 20
 
 LONGEST_KEY = 60
 """Maximum number of characters of a key in a message."""
+
+MOST_PLACES = 4
+"""Maximum number of places of a key in a message."""
 
 NOT_TRIED = "default_factory_not_called"
 """Pydantic's error type for a default that depends on a faulty field; that field has a fault of its own."""
@@ -133,7 +137,9 @@ def fault_lines(
     for detail in error.errors():
         path = format_path(_without_tags(detail["loc"], data), prefix)
         source = next((f" ({file})" for start, file in (origin or {}).items() if path.startswith(start)), "")
-        lines.append(f"{path or 'scene'}{source}{detail['msg']}")
+        unknown = detail.get("ctx", {}).get("unknown")
+        end = unknown.in_words(detail["loc"], data, prefix) if unknown is not None else ""
+        lines.append(f"{path or 'scene'}{source}{detail['msg']}{end}")
     return lines
 
 
@@ -201,7 +207,9 @@ def _plain_value(value: Any) -> Any:
 def _as_error(cls: type[Model], faults: Iterable[Fault]) -> ValidationError:
     details = [
         InitErrorDetails(
-            type=PydanticCustomError("fault", "{text}", {"text": _sentence(fault)}),
+            type=PydanticCustomError(
+                "fault", "{text}", {"text": _sentence(fault), "unknown": getattr(fault.valid, "unknown", None)}
+            ),
             loc=fault.where,
             input=fault.value,
         )
@@ -210,10 +218,83 @@ def _as_error(cls: type[Model], faults: Iterable[Fault]) -> ValidationError:
     return ValidationError.from_exception_data(cls.__name__, details)
 
 
-class _Worded(str):
-    """Text of a nested model's fault, which already contains the value."""
+class UnknownKey(NamedTuple):
+    """An unknown key, with its places in the innermost model around it that has any.
 
-    __slots__ = ()
+    Attributes
+    ----------
+    key : str
+    valid : tuple of str
+        Keys of the table.
+    depth : int
+        Number of steps from that model to the key.
+    places : tuple of KeyPlace
+    """
+
+    key: str
+    valid: tuple[str, ...]
+    depth: int = 0
+    places: tuple[KeyPlace, ...] = ()
+
+    def sought_in(self, cls: type[Model], depth: int) -> "UnknownKey":
+        """Return the key with its places in a model around it, unless they are known."""
+        return self if self.places else self._replace(depth=depth, places=key_places(cls).get(self.key, ()))
+
+    def in_words(self, location: Location, data: Any, prefix: str) -> str:
+        """Return the end of a message: the places where the key is valid, from the root, and the keys of the table.
+
+        Parameters
+        ----------
+        location : tuple of str and int
+            Location of the key.
+        data, prefix
+            As for `fault_lines`.
+        """
+        around = _without_tags(location[: len(location) - self.depth], data)
+        own = _without_tags(location, data)[len(around) :]
+        here = next((place for place in self.places if place.kinds and _is_at(place.steps, own)), None)
+        if here is not None:
+            words = f"; it is valid with kind = {_either(map(literal, here.kinds))}"
+        elif self.places:
+            start = format_path(around, prefix)
+            paths = [_joined(start, place.steps) for place in self.places[:MOST_PLACES]]
+            more = ["in other tables"] if len(self.places) > MOST_PLACES else []
+            words = f"; it is valid as {_either([*paths, *more])}"
+        else:
+            words = ""
+        return f"{words}; valid here: {', '.join(self.valid)}"
+
+
+class _Worded(str):
+    """Whole text of a fault, and the unknown key that it is about."""
+
+    __slots__ = ("unknown",)
+    unknown: UnknownKey | None
+
+    def __new__(cls, text: str, unknown: UnknownKey | None = None) -> Self:
+        worded = super().__new__(cls, text)
+        worded.unknown = unknown
+        return worded
+
+
+def _joined(path: str, steps: Iterable[str]) -> str:
+    for step in steps:
+        path += step if step == ENTRY or not path else f".{step}"
+    return path
+
+
+def _is_at(steps: tuple[str, ...], location: Location) -> bool:
+    """Tell whether a location is one of a place's."""
+    return len(steps) == len(location) and all(
+        step == NAME or (isinstance(key, int) if step == ENTRY else key == step)
+        for step, key in zip(steps, location, strict=True)
+    )
+
+
+def _either(words: Iterable[str]) -> str:
+    """Return words as a list: "a, b or c"."""
+    *first, last = words
+    return f"{', '.join(first)} or {last}" if first else last
 
 
 def _sentence(fault: Fault) -> str:
@@ -254,13 +335,15 @@ def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
     """Restate a pydantic error in the scene's terms, or pass on the fault of a nested model."""
     where, value, kind, limits = detail["loc"], detail["input"], detail["type"], detail.get("ctx", {})
     if kind == "fault":
-        return Fault(where, value, _Worded(detail["msg"]))
+        unknown = limits.get("unknown")
+        return Fault(where, value, _Worded(detail["msg"], unknown and unknown.sought_in(cls, len(where))))
     if kind in ("extra_forbidden", "invalid_key"):
         key = str(where[-1])
         keys = list(cls.model_fields)
         if key in cls.elsewhere:
             return Fault(where, None, f"unknown key; {cls.elsewhere[key]}")
-        return Fault(where, None, f"unknown key{nearest(key, keys)}; valid here: {', '.join(keys)}")
+        unknown = UnknownKey(key, tuple(keys)).sought_in(cls, len(where))
+        return Fault(where, None, _Worded(f": unknown key{nearest(key, keys)}", unknown))
     field = cls.model_fields.get(str(where[0])) if len(where) == 1 else None
     meaning = _first_sentence(field.description) if field is not None and field.description else ""
     if kind == "missing":

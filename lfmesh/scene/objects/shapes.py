@@ -1,10 +1,10 @@
 """Primitive shapes: of targets, of bodies of glass, and of what bounds media."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from lfmesh.scene.model import Model
+from lfmesh.scene.model import Model, kind_of
 from lfmesh.scene.quantities import Positive
 
 
@@ -64,7 +64,18 @@ class Cylinder(Model):
     """Length along z, in mm."""
 
 
-Shape = Annotated[Plane | Disk | Sphere | Box | Cylinder, Field(discriminator="kind")]
+def _no_mesh(table: str) -> BeforeValidator:
+    """Return a validator that refuses a mesh as a shape, and names the table that takes its file."""
 
-Solid = Annotated[Sphere | Box | Cylinder, Field(discriminator="kind")]
+    def refused(value: Any) -> Any:
+        if isinstance(value, dict) and kind_of(value) == "mesh":
+            raise ValueError(f'a mesh is no shape: write {table} file = "part.stl" in place of shape')
+        return value
+
+    return BeforeValidator(refused)
+
+
+Shape = Annotated[Plane | Disk | Sphere | Box | Cylinder, Field(discriminator="kind"), _no_mesh("[[targets]]")]
+
+Solid = Annotated[Sphere | Box | Cylinder, Field(discriminator="kind"), _no_mesh("[targets.refractor]")]
 """Shapes that are closed."""

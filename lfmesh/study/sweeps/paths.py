@@ -5,7 +5,7 @@ from typing import Any
 
 from lfmesh.scene import Scene
 from lfmesh.scene.changes import steps_of
-from lfmesh.scene.model import Model, dead_end, format_path, nearest
+from lfmesh.scene.model import Model, UnknownKey, dead_end, format_path, nearest
 
 
 def value_at(scene: Scene, path: str) -> Any:
@@ -18,10 +18,16 @@ def value_at(scene: Scene, path: str) -> Any:
     """
     place: Any = scene
     done: list[str | int] = []
+    around: list[tuple[type[Model], int]] = []
     for step in steps_of(path):
         where = format_path(done) or "the scene"
         if isinstance(place, Model):
-            place = _field(place, step, where)
+            around.append((type(place), len(done)))
+            fields = type(place).model_fields
+            if step not in fields:
+                near, end = nearest(str(step), fields), _places(around, [*done, step])
+                raise KeyError(f"{where} has no field {step!r}{near}{end}")
+            place = getattr(place, str(step))
         elif isinstance(place, Mapping):
             if step not in place:
                 raise KeyError(f"{where} has no {step!r}{nearest(str(step), map(str, place))}")
@@ -37,8 +43,16 @@ def value_at(scene: Scene, path: str) -> Any:
     return place
 
 
-def _field(model: Model, step: str | int, where: str) -> Any:
-    fields = type(model).model_fields
-    if not isinstance(step, str) or step not in fields:
-        raise KeyError(f"{where} has no field {step!r}{nearest(str(step), fields)}; valid here: {', '.join(fields)}")
-    return getattr(model, step)
+def _places(around: list[tuple[type[Model], int]], path: list[str | int]) -> str:
+    """Return the places where the last key of a path is valid.
+
+    Parameters
+    ----------
+    around : list of (type of Model, int)
+        Models on the path, with the number of steps to each.
+    path : list of str or int
+    """
+    unknown = UnknownKey(str(path[-1]), tuple(around[-1][0].model_fields))
+    for model, steps in reversed(around):
+        unknown = unknown.sought_in(model, len(path) - steps)
+    return unknown.in_words(tuple(path), None, "")

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from lfmesh.scene import Scene
-from lfmesh.scene.literals import literal
-from lfmesh.study.optimise.design_file import Variable
+from lfmesh.scene.literals import counted, literal
+from lfmesh.study.optimise.design_file import DesignFile, Variable
 from lfmesh.study.sweeps.axes import is_number
-from lfmesh.study.sweeps.paths import value_at
+from lfmesh.study.sweeps.paths import number_path, value_at
 from lfmesh.study.sweeps.plan import path_faults
 
 AT_BOUND = 1e-3
@@ -79,7 +79,26 @@ class Choice:
         return self.variable.values or ()
 
 
-def knobs_of(variables: Sequence[Variable], scene: Scene) -> tuple[list[Knob], list[Choice], list[str]]:
+def with_number_paths(design: DesignFile, scene: Scene) -> DesignFile:
+    """Return a design with variables that name numbers: in a field with a list of one number, that number.
+
+    Parameters
+    ----------
+    design : DesignFile
+    scene : Scene
+
+    Raises
+    ------
+    SceneError
+        Two variables are the same number.
+    """
+    variables = tuple(
+        each.model_copy(update={"path": number_path(each.path, each.values or (), scene)}) for each in design.variables
+    )
+    return DesignFile(**dict(design) | {"variables": variables})
+
+
+def knobs_of(variables: Sequence[Variable], scene: Scene, ready: Scene) -> tuple[list[Knob], list[Choice], list[str]]:
     """Find the variables in the initial scene.
 
     Parameters
@@ -87,6 +106,8 @@ def knobs_of(variables: Sequence[Variable], scene: Scene) -> tuple[list[Knob], l
     variables : sequence of Variable
     scene : Scene
         Scene with its lens read from its file.
+    ready : Scene
+        The same, solved.
 
     Returns
     -------
@@ -99,7 +120,7 @@ def knobs_of(variables: Sequence[Variable], scene: Scene) -> tuple[list[Knob], l
     choices: list[Choice] = []
     faults: list[str] = []
     for i, variable in enumerate(variables):
-        found = [f"variables[{i}].{line}" for line in _faults(variable, scene)]
+        found = [f"variables[{i}].{line}" for line in _faults(variable, scene, ready)]
         faults += found
         if found:
             continue
@@ -111,7 +132,7 @@ def knobs_of(variables: Sequence[Variable], scene: Scene) -> tuple[list[Knob], l
     return knobs, choices, faults
 
 
-def _faults(variable: Variable, scene: Scene) -> Iterator[str]:
+def _faults(variable: Variable, scene: Scene, ready: Scene) -> Iterator[str]:
     where = list(path_faults({variable.path: None}, scene, "path"))
     yield from where
     if where:
@@ -123,8 +144,12 @@ def _faults(variable: Variable, scene: Scene) -> Iterator[str]:
             yield f"{named}, which is not among the values; add it, the search begins there"
         return
     flat = variable.is_radius and value == math.inf
-    if value is None:
+    if value is None and is_number(found := value_at(ready, variable.path)):
+        yield f"{named}: it is solved, to {found:.6g} at present; give it a number to begin with, such as this one"
+    elif value is None:
         yield f"{named}, which is solved or left out; give it a number to begin with"
+    elif value and isinstance(value, tuple) and all(map(is_number, value)):
+        yield f"path: {variable.path} has {counted(len(value), 'number')} in the scene; name one: {variable.path}[0]"
     elif not is_number(value) and not flat:
         yield f"{named}, no number; give values to choose from in place of a range"
     elif isinstance(value, int):

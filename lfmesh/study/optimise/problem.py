@@ -19,7 +19,7 @@ from lfmesh.study.metrics.pictures import in_a_line
 from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Rays, Term
 from lfmesh.study.optimise.figures import FIGURES, camera_values, shown_value
 from lfmesh.study.optimise.jet import Jet, constant
-from lfmesh.study.optimise.knobs import Choice, Knob, knobs_of
+from lfmesh.study.optimise.knobs import Choice, Knob, knobs_of, with_number_paths
 from lfmesh.study.optimise.ray_figures import RayFigures, ray_figures_of
 from lfmesh.study.optimise.renders import Renders
 from lfmesh.study.sweeps.plan import path_faults
@@ -130,11 +130,11 @@ class Problem:
         if faults:
             raise refused(name, faults)
         self.scene = scene.changed(design.changes) if design.changes else scene
-        self.design = design
+        self.design = design = with_number_paths(design, self.scene)
         self.knobs: list[Knob]
         self.choices: list[Choice]
-        self.knobs, self.choices, faults = knobs_of(design.variables, self.scene)
         solved_scene = self._solved(self.scene)
+        self.knobs, self.choices, faults = knobs_of(design.variables, self.scene, solved_scene)
         faults += [
             f"{key}[{i}].metric: {goal.metric} needs a camera with a microlens array"
             for key, goals in (("merit", design.merit), ("constraints", design.constraints))

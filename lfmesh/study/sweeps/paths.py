@@ -1,11 +1,13 @@
 """Fields of a scene by path: values, and suggestions for paths that do not exist."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 from lfmesh.scene import Scene
 from lfmesh.scene.changes import steps_of
 from lfmesh.scene.model import Model, UnknownKey, dead_end, format_path, nearest
+from lfmesh.study.sweeps.axes import is_number
 
 
 def value_at(scene: Scene, path: str) -> Any:
@@ -41,6 +43,23 @@ def value_at(scene: Scene, path: str) -> Any:
             place = place[step]
         done.append(step)
     return place
+
+
+def number_path(path: str, values: Iterable[Any], scene: Scene) -> str:
+    """Return the path to vary a field by: that of the only number, if the field is a list of one.
+
+    Parameters
+    ----------
+    path : str
+    values : iterable
+        Listed values of the field; numbers, if it may vary as one.
+    scene : Scene
+    """
+    with suppress(KeyError):
+        found = value_at(scene, path)
+        if isinstance(found, tuple) and len(found) == 1 and all(map(is_number, (*found, *values))):
+            return f"{path}[0]"
+    return path
 
 
 def _places(around: list[tuple[type[Model], int]], path: list[str | int]) -> str:

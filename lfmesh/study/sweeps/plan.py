@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,11 +21,14 @@ from lfmesh.scene.literals import literal
 from lfmesh.study.metrics.metrics import METRICS
 from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera, in_a_line
 from lfmesh.study.sweeps.axes import Axis, is_number, name_and_unit
-from lfmesh.study.sweeps.paths import value_at
+from lfmesh.study.sweeps.paths import number_path, value_at
 from lfmesh.study.sweeps.study_file import StudyFile, refused, unknown_metrics
+from lfmesh.study.tolerances.compensators import Compensator
 from lfmesh.study.tolerances.error_modes import TEMPLATES
 from lfmesh.study.tolerances.largest_change import Search
 from lfmesh.transport.collisions import refuse_impossible_camera
+
+Varied = TypeVar("Varied", Axis, Compensator)
 
 MOST_POINTS = 1_000_000
 """Largest number of points in a study or items in a dataset; they are checked first, some hundreds per second."""
@@ -241,7 +244,9 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
         ready_scene = ready_scene.changed(dict.fromkeys(omitted, None))
     paths = [*(axis.path for axis in axes), *(each.path for each in study.compensators)]
     ready_scene = _with_named(ready_scene, first, paths)
-    axes = tuple(_of_one_number(axis, ready_scene) for axis in axes)
+    axes = tuple(_renamed(axis, number_path(axis.path, axis.values or (), ready_scene)) for axis in axes)
+    adjusted = tuple(_renamed(each, number_path(each.path, (), ready_scene)) for each in study.compensators)
+    study = study.model_copy(update={"compensators": adjusted})
     for i, axis in enumerate(axes):
         faults += [
             f"axes[{i}].{line}" for line in path_faults({axis.path: None}, ready_scene, "path", refocus=study.refocus)
@@ -309,13 +314,8 @@ def _with_named(ready: Scene, given: Scene, paths: Iterable[str]) -> Scene:
     return ready.changed(changes) if changes else ready
 
 
-def _of_one_number(axis: Axis, scene: Scene) -> Axis:
-    """Turn an axis of numbers, for a field with a list of one number, into one of that number."""
-    with suppress(KeyError):
-        found = value_at(scene, axis.path)
-        if isinstance(found, tuple) and len(found) == 1 and all(map(is_number, (*found, *(axis.values or ())))):
-            return axis.model_copy(update={"path": f"{axis.path}[0]"})
-    return axis
+def _renamed(each: Varied, path: str) -> Varied:
+    return each.model_copy(update={"path": path})
 
 
 def path_faults(paths: dict[str, Any], scene: Scene, prefix: str, *, refocus: bool = True) -> Iterator[str]:

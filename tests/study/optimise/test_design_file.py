@@ -16,6 +16,7 @@ import pytest
 import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
+from lfmesh.scene import solved
 from lfmesh.study.optimise.figures import FIGURES
 from lfmesh.wrapping import COLUMNS
 from tests.cameras import close_up_camera
@@ -51,7 +52,15 @@ REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
     ),
     "no number": ({"variables": [{"path": "camera.lens.surfaces[0].coating", "range": [0.0, 1.0]}]}, ["no number"]),
     "left to be solved": (
-        {"variables": [{"path": "camera.sensor.distance_mm", "range": [50.0, 80.0]}]}, ["not given", "solved"],
+        {"variables": [{"path": "camera.sensor.distance_mm", "range": [50.0, 80.0]}]},
+        ["not given", f"it is solved, to {solved(SCENE).camera.sensor.distance_mm:.6g} at present"],
+    ),
+    "left out": (
+        {"variables": [{"path": "camera.lens.epd_mm", "range": [5.0, 8.0]}]}, ["not given", "solved or left out"],
+    ),
+    "several numbers": (
+        {"variables": [{"path": "camera.pose.tilt_deg", "range": [-1.0, 1.0]}]},
+        ["camera.pose.tilt_deg has 3 numbers in the scene; name one: camera.pose.tilt_deg[0]"],
     ),
     "whole number": ({"variables": [{"path": "camera.sensor.pixels[0]", "range": [50.0, 150.0]}]}, ["a whole number"]),
     "twice": ({"variables": [VARIABLE, VARIABLE]}, ["variables[1].path", "is a variable already"]),

@@ -89,6 +89,22 @@ def test_a_term_that_is_met_is_no_end_of_the_search_for_a_lighter_one() -> None:
     assert [problem.is_exact(each, first) for each in (first, one, both)] == [False, False, True]
 
 
+def test_the_focal_length_of_one_type_of_lenslet_varies_by_its_bare_name_as_in_a_study() -> None:
+    path, scene = "camera.mla.focal_length_mm", small_scene()
+    assert scene.camera.mla is not None
+    (focal_length_mm,) = scene.camera.mla.focal_length_mm or ()
+    variable = {"path": path, "range": (0.5 * focal_length_mm, 2.0 * focal_length_mm)}
+    design: dict[str, Any] = {"scene": "scene", "merit": focal_length(80.0)}
+    problem = Problem(DesignFile(variables=[variable], **design), scene)
+    assert problem.values_at(problem.start) == {f"{path}[0]": focal_length_mm}
+    (knob,) = problem.knobs
+    there = problem.scene_at(Place(np.array([knob.place(1.5 * focal_length_mm)]), ()))
+    assert there.camera.mla is not None
+    assert there.camera.mla.focal_length_mm == (pytest.approx(1.5 * focal_length_mm),)
+    with pytest.raises(lf.LfmeshError, match="is a variable already"):
+        Problem(DesignFile(variables=[variable, {**variable, "path": f"{path}[0]"}], **design), scene)
+
+
 @pytest.mark.parametrize("target", [40.0, 90.0])
 def test_a_flat_face_becomes_convex_or_hollow_as_the_lensmakers_formula_says(target: float) -> None:
     found = lf.optimise(

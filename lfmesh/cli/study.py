@@ -160,7 +160,7 @@ def progress_in_words(now: "Progress", things: str = "units", failing: str = "po
 
 
 def _report(table: "Table", out: Path, parquet: bool) -> int:
-    from lfmesh.study.sweeps.sentences import largest_changes, metrics_not_known
+    from lfmesh.study.sweeps.sentences import largest_changes, metrics_not_known, yield_in_words
     from lfmesh.study.sweeps.study import PAGE, PARQUET, TABLE
 
     files = [out / TABLE, out / PAGE]
@@ -178,7 +178,7 @@ def _report(table: "Table", out: Path, parquet: bool) -> int:
     done = len(table.rows) - len(table.failed)
     others = f", {missing} of other shares {'is' if missing == 1 else 'are'} not" if missing else ""
     print(f"{done} of {len(table.rows)} points are done{others}.")
-    for line in largest_changes(table):
+    for line in (*yield_in_words(table), *largest_changes(table)):
         print(wrapped(line))
     list_files(files)
     return CASE_FAILED if len(table.failed) > missing else 0

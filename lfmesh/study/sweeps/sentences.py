@@ -35,7 +35,7 @@ def in_short(table: Table) -> list[str]:
         _progress(table),
         *metrics_not_known(table),
         *_limits(table),
-        *_yield(table),
+        *yield_in_words(table),
         *largest_changes(table),
         *_breaking(table),
         *(budget_in_words(table, budget_of(table, column)) for column in table.limited or _judged(table)[:1]),
@@ -196,7 +196,8 @@ def _limit(table: Table, column: Column) -> str:
     return f"{column.noun} {side} {table.plan.study.limits[column.name]:g}{column.unit}"
 
 
-def _yield(table: Table) -> Iterator[str]:
+def yield_in_words(table: Table) -> Iterator[str]:
+    """Yield the share of cameras that keep the limits, or why a study with limits has none."""
     if good := table.yield_share():
         open_ones = len(table.drawn) - good.trials
         doubt = f"; of {open_ones} more it is {NOT_KNOWN}, and the interval covers both cases" if open_ones else ""

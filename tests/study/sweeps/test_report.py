@@ -294,6 +294,22 @@ def test_the_yields_interval_covers_cameras_that_are_not_known_as_good_and_as_ba
     assert "Yield: not known (95 % interval 0.0 to 100.0 %); of 3 more it is" in " ".join(in_short(nothing))
 
 
+def test_the_yield_stands_on_the_command_line_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "scene.toml").write_text(small_scene().dump_toml())
+    (tmp_path / "study.toml").write_text(
+        'scene = "scene.toml"\nmetrics = ["ncc"]\nlimits = { ncc = 0.8 }\ndesign = "latin_hypercube"\ncount = 3\n'
+        f'[[axes]]\npath = "{SHIFT}"\nuniform = [-0.1, 0.1]\n'
+    )
+    table = drawn([(0.9, 0.001), (0.9, 0.001), (0.7, 0.001)])
+    monkeypatch.setattr(lf.Study, "run", lambda *_, **__: table)
+    assert main(["study", str(tmp_path / "study.toml"), "-o", str(tmp_path / "out")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    (sentence,) = (each for each in in_short(table) if each.startswith("Yield: 2 of 3 cameras keep the limits"))
+    assert sentence in said
+
+
 def test_a_budget_leaves_cameras_out_that_are_not_known_and_counts_them() -> None:
     known = [(0.99, 0.001), (0.9, 0.001), (0.95, 0.001), (0.92, 0.001), (0.97, 0.001)]
     table = drawn([*known, UNKNOWN])

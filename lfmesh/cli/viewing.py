@@ -11,7 +11,12 @@ from lfmesh.view.rays.ghosts import DARK, GHOST_CUTOFF, GHOST_RAYS, ghost_matrix
 from lfmesh.view.rays.path_table import path_table
 from lfmesh.view.scene3d.gl import Probe, has_display
 from lfmesh.view.scene3d.plotter import Drawing
-from lfmesh.view.show import NO_DISPLAY, Outputs, Seen, check_output, draw_seen, look
+from lfmesh.view.show import Outputs, Seen, check_output, draw_seen, look
+
+NO_DISPLAY = (
+    "there is no display for a window: write a picture with --screenshot out.png or a page with --html out.html, "
+    "or open it with --browser"
+)
 
 
 def run(

@@ -33,8 +33,7 @@ LETTER = "A"
 """Label of the magnified array and of its place in the picture."""
 
 NO_DISPLAY = (
-    "there is no display for a window: write a picture with --screenshot out.png or a page with --html out.html, "
-    "or open it with --browser"
+    'there is no display for a window: write a picture with screenshot="out.png" or a page with html="out.html"'
 )
 
 

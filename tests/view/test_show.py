@@ -96,6 +96,8 @@ def test_without_a_display_one_line_says_what_to_do(
     error = capsys.readouterr().err.strip()
     assert "\n" not in error
     assert all(option in error for option in ("no display", "--screenshot", "--html", "--browser"))
+    with pytest.raises(lf.LfmeshError, match=r'no display .* screenshot="out\.png" or a page with html="out\.html"$'):
+        lf.show(scene_file)
 
 
 def hidden(folder: Path, library: str) -> dict[str, str]:

@@ -58,6 +58,11 @@ def test_the_first_scene_has_ten_lines_and_nothing_to_warn_of(folder: Path) -> N
     assert first_order(lfmesh.load("scene.toml")).warnings == ()
 
 
+def test_the_first_scene_needs_no_other_file(tmp_path: Path) -> None:
+    (scene,) = blocks("toml")
+    assert lfmesh.first_order(lfmesh.loads(scene, tmp_path)).warnings == ()
+
+
 def test_the_first_scene_renders_with_the_commands_given(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ours = [words[1:] for words in commands(README) if words[0] == "tools/run" and "scene.toml" in words]
     assert {words[0] for words in ours} == {"check", "render"}

@@ -3,6 +3,7 @@
 import re
 import tomllib
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -347,7 +348,24 @@ def _own_table(path: Path, choices: FileChoices) -> dict[str, Any]:
     """Return the keys of a lens in TOML, which has no file choices."""
     for key in choices.given():
         raise SceneError(f"{path}: {key} can be chosen for {', '.join(endings())} files only")
-    return with_tables_beside(_read(path), path.parent)
+    try:
+        table = _read(path)
+    except SceneError as error:
+        raise SceneError(f"{error}{_in_library(path)}") from None
+    return with_tables_beside(table, path.parent)
+
+
+def _in_library(path: Path) -> str:
+    """Return a hint to the lens of the library that a missing file names, or ""."""
+    with suppress(OSError, ValueError):
+        path.stat()
+        return ""
+    known = _library()
+    if path.stem in known:
+        return f'; the library has this lens: file = "{LIBRARY}{path.stem}"'
+    if "assets" not in path.parts:
+        return ""
+    return f'; lenses that come with lfmesh are "{LIBRARY}NAME"{nearest(path.stem, known)}, see lfmesh lens list'
 
 
 def _refused(name: str, faults: list[str]) -> SceneError:

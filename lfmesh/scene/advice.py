@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning, in_order
+from lfmesh.scene.camera.lenslet_optics import sections
 from lfmesh.scene.distance import length_in_words, reach_in_words
 from lfmesh.scene.first_order import axial_beam
 from lfmesh.scene.first_order.beam_bounds import CLOSE, Beam
@@ -317,7 +318,7 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     if abs(quotient(facts.working_f_number, microlens) - 1) > _F_NUMBER_TOLERANCE:
         yield (
             f"the f-numbers do not match: the lens works at f/{facts.working_f_number:.3g}, the "
-            f"microlenses at f/{microlens:.3g}"
+            f"microlenses at f/{microlens:.3g}{_matching(scene, facts, microlens)}"
         )
     if pitch <= 0:
         yield (
@@ -338,6 +339,21 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         )
     if pitch < 2:
         yield f"micro-images are {pitch:.3g} pixels apart: too few to tell directions"
+
+
+def _matching(scene: Scene, facts: "FirstOrder", microlens: float) -> str:
+    """Return the stop, and the focal length of lenslets of one type and section, that make the f-numbers match."""
+    camera, mla = scene.camera, scene.camera.mla
+    ratio = quotient(facts.working_f_number, microlens)
+    if mla is None or not 0.0 < ratio < math.inf:
+        return ""
+    # The cone of light is as wide as the stop.
+    radius = ratio * (camera.lens.surfaces[Paraxial.of(camera.lens, scene.primary_nm).stop].semi_diameter_mm or 0.0)
+    ways = [f"camera.lens.stop_semi_diameter_mm = {radius:.4g}"]
+    if not facts.focused and mla.types == 1 and not mla.has_back and len(sections(mla)) == 1:
+        length = facts.working_f_number * mla.pitch_mm
+        ways.insert(0, f"camera.mla.focal_length_mm = {length:.4g} (sensor in the focal plane)")
+    return f"; they match with {' or '.join(ways)}"
 
 
 def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:

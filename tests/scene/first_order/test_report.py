@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -281,6 +282,24 @@ def test_warnings_say_what_is_likely_to_disappoint(scene: Scene, values: dict[st
     facts = first_order(matched(scene).changed(values))
     assert any(words in warning for warning in facts.warnings), facts.warnings
     assert f"Note: {facts.warnings[0]}" in str(facts)
+
+
+@pytest.mark.parametrize("stop_mm", [3.0, 8.0])
+def test_f_numbers_match_at_the_focal_length_and_at_the_stop_that_the_warning_names(
+    scene: Scene, stop_mm: float
+) -> None:
+    off = scene.changed({"camera.lens.stop_semi_diameter_mm": stop_mm})
+    (said,) = (warning for warning in first_order(off).warnings if "f-numbers do not match" in warning)
+    named = dict(re.findall(r"(camera\.[a-z._]+) = ([\d.]+)", said))
+    assert named.keys() == {"camera.mla.focal_length_mm", "camera.lens.stop_semi_diameter_mm"}
+    for path, value in named.items():
+        facts = first_order(off.changed({path: float(value)}))
+        assert facts.working_f_number == pytest.approx(facts.microlens_f_number, rel=1e-3)
+        assert not any("f-numbers" in warning for warning in facts.warnings)
+    several = off.changed({"camera.mla.focal_length_mm": [0.7, 0.6]})
+    (said,) = (warning for warning in first_order(several).warnings if "f-numbers do not match" in warning)
+    assert "focal_length_mm" not in said
+    assert "stop_semi_diameter_mm" in said
 
 
 @pytest.mark.parametrize(

@@ -131,17 +131,20 @@ def first_order(scene: Scene) -> FirstOrder:
 
 
 def mesh_lines(scene: Scene) -> list[str]:
-    """Return text lines that describe the lens meshes: triangles per surface, and error at the sensor."""
+    """Return text lines that describe the lens meshes: triangles per surface, and the error at the sensor, if any."""
     lines = face_lines(scene)
     camera = solved_camera(scene)
     scene, shape = camera.scene, camera.lens_shape()
-    for number, cap, error, own in zip(shape.numbers, shape.caps, shape.errors_mm, shape.analytic, strict=True):
-        source = f"estimated error at the sensor {1e3 * error:.3g} µm" if own else "from its file"
-        lines.append(f"surface {number:<15}{len(cap.faces)} triangles, {source}")
     total = float(np.sqrt(np.nansum(shape.errors_mm**2)))
+    for number, cap, error, own in zip(shape.numbers, shape.caps, shape.errors_mm, shape.analytic, strict=True):
+        source = ", from its file"
+        if own:
+            source = f", estimated error at the sensor {1e3 * error:.3g} µm" if total > 0.0 else ""
+        lines.append(f"surface {number:<15}{len(cap.faces)} triangles{source}")
     pixels = total / scene.camera.sensor.pixel_mm
     level = scene.transport.surface
-    lines.append(f'{"all surfaces":<23}surface = "{level}": {1e3 * total:.3g} µm, {pixels:.3g} pixels')
+    sum_of_all = f": {1e3 * total:.3g} µm, {pixels:.3g} pixels" if total > 0.0 else ""
+    lines.append(f'{"all surfaces":<23}surface = "{level}"{sum_of_all}')
     if level != "exact" and scene.transport.tessellation == Tessellation() and pixels > PIXEL_SHARE:
         lines.append(
             f'Note: at {shape.rings} rings, the finest, surface = "{level}" is {plain(pixels, 2)} pixels off; '

@@ -12,7 +12,7 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry.lens import solved_camera as module
 from lfmesh.geometry.lens.lens_shape import lens_shape
-from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.lens.solved_camera import mesh_lines, solved_camera
 from lfmesh.scene import Camera, Lens, Scene, Sensor, first_order, solved
 from lfmesh.scene.first_order.paraxial import Paraxial
 
@@ -161,3 +161,12 @@ def test_only_the_latest_are_kept() -> None:
         solved_camera(asset().changed({"camera.focus_mm": float(focus)}))
     assert len(module._kept) <= 2 * module.KEPT
     assert solved_camera(asset().changed({"camera.focus_mm": 300.0})) is not first
+
+
+def test_errors_of_meshes_are_listed_only_where_there_are_any() -> None:
+    exact, patches = (mesh_lines(asset().changed({"transport.surface": level})) for level in ("exact", "patch"))
+    assert not any("error" in line or "µm" in line for line in exact)
+    assert exact[-1].endswith('surface = "exact"')
+    assert all("error at the sensor" in line for line in patches if line.startswith("surface "))
+    assert len(patches) == len(exact)
+    assert "µm" in patches[-1]

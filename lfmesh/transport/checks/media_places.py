@@ -40,7 +40,10 @@ class MediumPlace:
         Share of the field of view filled by a medium, at most (box around its image); share of particles in the field.
     depths : (float, float) or None
         Optical depth along the axis, and the largest of some lines of sight, at the primary wavelength; per mm if
-        unbounded. None for particles and media bounded by a mesh.
+        unbounded. None for particles.
+    in_box : bool
+        True if the optical depths belong to a box round the medium and are upper limits: it is bounded by a mesh,
+        or by the body it is inside.
     """
 
     name: str
@@ -48,6 +51,7 @@ class MediumPlace:
     reach_mm: tuple[float, float]
     share: float
     depths: tuple[float, float] | None
+    in_box: bool = False
 
     def lines(self, wavelength_nm: float) -> list[str]:
         """Describe the place in words, any warning last, as a note."""
@@ -67,6 +71,7 @@ class MediumPlace:
             lines.append(
                 f"  optical depth        {axis:.4g} along the axis, {most:.4g} the largest of {LINES} × {LINES} lines "
                 f"of sight over its part of the field, at {wavelength_nm:g} nm"
+                + ("; these are upper limits, of the box round it" if self.in_box else "")
             )
         return lines + [f"Note: {self.name} {OUT_OF_FIELD}"] * (self.share == 0.0)
 
@@ -103,9 +108,11 @@ def _media(world: World) -> Iterator[MediumPlace]:
             yield MediumPlace(name, what, (0.0, np.inf), 1.0, (extinction, extinction))
             continue
         seen = frame.points(to_camera, corners)
-        depths = None if row["bounds"] == SHELL else _depths(volumes, number, colour, to_camera, seen, facts)
+        depths = _depths(volumes, number, colour, to_camera, seen, facts)
         share = share_of_field(in_field(seen, facts))
-        yield MediumPlace(name, what, (float(-seen[:, 2].max()), float(-seen[:, 2].min())), share, depths)
+        reach = float(-seen[:, 2].max()), float(-seen[:, 2].min())
+        in_box = bool(row["bounds"] == SHELL) or medium.inside is not None
+        yield MediumPlace(name, what, reach, share, depths, in_box=in_box)
 
 
 def _particles(world: World) -> Iterator[MediumPlace]:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 import lfmesh as lf
 from lfmesh.cli import main
@@ -65,6 +66,20 @@ def test_a_grid_has_the_integral_of_its_voxels_along_the_axis(tmp_path: Any) -> 
         # The axis runs through the middles of the central column's voxels. Trilinear, the ends count half as deep.
         exact = 5.0 * values[1, 1].sum()
         assert place.depths[0] == pytest.approx(exact, rel=0.02 if interpolation == "trilinear" else 1e-9)
+
+
+def test_a_mesh_and_the_inside_of_a_body_are_as_deep_as_the_box_round_them_at_most(tmp_path: Any) -> None:
+    trimesh.creation.icosphere(subdivisions=2, radius=RADIUS).export(tmp_path / "ball.stl")
+    mesh = place_of(ball(bounds={"file": str(tmp_path / "ball.stl"), "units": "mm"}))
+    # Chief rays cross the box a little longer than the axis does.
+    assert mesh.depths[0] == pytest.approx(0.4, rel=1e-6)
+    assert mesh.depths[0] <= mesh.depths[1] < 0.4 * math.sqrt(1.0 + 2.0 * (RADIUS / 500.0) ** 2)
+    glass = {"name": "glass", "refractor": {"index": 1.5, "box_mm": [60.0, 60.0, 60.0]}, "position_mm": (0, 0, -500.0)}
+    inside = place_of(ball(inside="glass"), targets=[glass])
+    for place in (mesh, inside):
+        (line,) = (line for line in place.lines(587.6) if "optical depth" in line)
+        assert line.endswith("; these are upper limits, of the box round it")
+    assert not any("upper limits" in line for line in place_of(ball()).lines(587.6))
 
 
 def test_what_is_out_of_the_field_is_named_by_check_and_in_the_report_of_a_black_picture(

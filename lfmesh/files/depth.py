@@ -81,23 +81,31 @@ def _draw(
     path: Path, depth: DepthMap, truth_mm: NDArray[np.floating], error: NDArray[np.float64],
     without_depth: Sequence[str],
 ) -> None:  # fmt: skip
-    """Draw truth, estimate, error and confidence side by side, and the distribution of the error."""
+    """Draw truth, estimate, confidence and error side by side, and the error's distribution.
+
+    Without any true depth, draw estimate and confidence alone.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=FIGURE_IN, layout="constrained", dpi=120)
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(2, 3).ravel()
     true = np.where(np.isfinite(truth_mm), truth_mm, np.nan)
+    compared = bool(np.isfinite(true).any())
+    rows, columns = (2, 3) if compared else (1, 2)
+    width, height = FIGURE_IN
+    figure = Figure(figsize=(width * columns / 3, height * rows / 2), layout="constrained", dpi=120)
+    FigureCanvasAgg(figure)
+    panels = list(figure.subplots(rows, columns).ravel())
     low, high = shown_range(depth.distance_mm, true) or depth.range_mm
     margin = 0.05 * max(high - low, 0.02 * high)
     scale = {"vmin": low - margin, "vmax": high + margin, "cmap": "viridis"}
-    for axes, title, values, shown in (
-        (panels[0], "truth / mm", true, scale),
-        (panels[1], "from the light field / mm", depth.distance_mm, scale),
-        (panels[2], "confidence", depth.confidence, {"vmin": 0.0, "vmax": 1.0, "cmap": "gray"}),
-        (panels[3], "error / % of depth", 100.0 * error, {"vmin": -5.0, "vmax": 5.0, "cmap": "RdBu_r"}),
-    ):
+    pictures: list[tuple[str, NDArray[np.floating], dict[str, Any]]] = [
+        ("from the light field / mm", depth.distance_mm, scale),
+        ("confidence", depth.confidence, {"vmin": 0.0, "vmax": 1.0, "cmap": "gray"}),
+    ]
+    if compared:
+        pictures.insert(0, ("truth / mm", true, scale))
+        pictures.append(("error / % of depth", 100.0 * error, {"vmin": -5.0, "vmax": 5.0, "cmap": "RdBu_r"}))
+    for axes, (title, values, shown) in zip(panels, pictures, strict=False):
         picture = axes.imshow(values, interpolation="nearest", **shown)
         figure.colorbar(picture, ax=axes, shrink=0.85, extend="both" if values is not depth.confidence else "neither")
         axes.set_title(title, fontsize=10, loc="left")
@@ -108,8 +116,9 @@ def _draw(
         # Escape $ in the user's names, between which matplotlib expects mathematics.
         words = f"without true depth: {', '.join(without_depth)}"
         panels[0].set_xlabel(words.replace("$", r"\$"), fontsize=8, wrap=True)
-    _draw_against_truth(panels[4], depth, true)
-    _draw_distribution(panels[5], error)
+    if compared:
+        _draw_against_truth(panels[4], depth, true)
+        _draw_distribution(panels[5], error)
     figure.savefig(path, metadata={"Software": None})
 
 

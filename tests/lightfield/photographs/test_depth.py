@@ -1,6 +1,7 @@
 """True depth by tracing, depth from the light field: laws that hold without looking at a rendered texture."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,9 +9,11 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
+from matplotlib.figure import Figure
 
 import lfmesh as lf
 from lfmesh.cli import main
+from lfmesh.files.depth import save_depth
 from lfmesh.lightfield.rays.view_rays import ViewRays, traced_shift
 from lfmesh.scene import Scene
 from tests.instances import instances
@@ -214,6 +217,25 @@ def test_a_conventional_camera_has_no_views(camera: Callable[..., Scene]) -> Non
     scene = camera().changed({"camera.mla": None, "camera.sensor.distance_mm": None})
     with pytest.raises(lf.LfmeshError, match=r"camera\.mla is missing"):
         lf.depth_truth(scene)
+
+
+@pytest.mark.parametrize(("truth_mm", "titles"), [(math.nan, 2), (math.inf, 2), (420.0, 4)])
+def test_a_picture_of_depth_has_no_empty_panels_without_true_depth(
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    truth_mm: float, titles: int,
+) -> None:  # fmt: skip
+    scene = camera()
+    folder = lf.save(image_of(scene, np.ones(scene.camera.sensor.pixels[::-1])), tmp_path / "run")
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: (drawn.append(figure), path.touch()))
+    found = np.full((4, 5), 421.0)
+    depth = lf.DepthMap(found, np.zeros_like(found), np.ones_like(found), (300.0, 900.0))
+    save_depth(depth, np.full((4, 5), truth_mm), folder, ("fire",))
+    (figure,) = drawn
+    pictures = [axes for axes in figure.axes if axes.get_images()]
+    assert len(pictures) == titles
+    assert all(np.isfinite(axes.get_images()[0].get_array()).any() for axes in pictures)
+    assert pictures[0].get_xlabel() == "without true depth: fire"
 
 
 def test_media_and_particles_are_named_as_what_has_no_true_depth(camera: Callable[..., Scene]) -> None:

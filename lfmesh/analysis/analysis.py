@@ -16,7 +16,9 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
+from lfmesh.scene.distance import length_in_words
 from lfmesh.scene.first_order.compute import airy_disk_mm
+from lfmesh.scene.literals import literal
 from lfmesh.transport.world import World, build
 from lfmesh.waves.bundle import LensRays, pupil_grid
 
@@ -34,6 +36,9 @@ ACROSS = 64
 FAN = 65
 ZONES = 20
 FREQUENCIES = 61
+
+REFOCUSED = 1e-6
+"""Relative difference of distances below which the object lies in the plane in focus; solving leaves less."""
 
 FINEST_MTF = 0.5
 """Highest frequency of the geometric MTF, over the diffraction cut-off."""
@@ -146,6 +151,24 @@ class LensAnalysis(Shown):
         """The middle wavelength."""
         return self.wavelengths_nm[len(self.wavelengths_nm) // 2]
 
+    @property
+    def focus_in_words(self) -> str:
+        """Distance that the camera is focused at and the object's defocus, in words; "" if the object is in focus."""
+        focused = self.first_order.object_distance_mm
+        if self.object_mm == focused or math.isclose(self.object_mm, focused, rel_tol=REFOCUSED):
+            return ""
+        camera = solved_camera(self.rays.world.scene)
+        image = camera.paraxial.image_mm(self.object_mm)
+        words = f"not refocused: the camera is focused at {length_in_words(focused)}"
+        if not (0.0 < image < math.inf):
+            return f"{words}, and the object has no real image"
+        beyond = image + camera.paraxial.length_mm - self.image_z_mm
+        side = "behind" if beyond > 0.0 else "before"
+        return (
+            f"{words}, and the object's paraxial image lies {abs(beyond):.4g} mm {side} the image plane; to "
+            f"refocus, give camera.focus_mm = {literal(self.object_mm)} and omit the distances"
+        )
+
     def __repr__(self) -> str:
         facts = self.first_order
         spots = ", ".join(f"{1e3 * spot.rms_mm:.3g}" for spot in self.spots)
@@ -164,10 +187,11 @@ class LensAnalysis(Shown):
         lines = [
             f"f = {facts.efl_mm:.4f} mm, f/{facts.working_f_number:.3f} at work, object at {at}, "
             f"image plane z = {self.image_z_mm:.4f} mm",
-            f"Airy radius {1e3 * self.airy_radius_mm:.3f} um at {self.primary_nm:g} nm; "
+            *filter(None, [self.focus_in_words]),
+            f"Airy radius {1e3 * self.airy_radius_mm:.3f} µm at {self.primary_nm:g} nm; "
             f"wavelengths {', '.join(f'{w:g}' for w in self.wavelengths_nm)} nm",
-            f"{'field/mm':>9}{'chief/mm':>11}{'rms/um':>10}{'GEO/um':>10}{'passed':>9}"
-            f"{'T focus/mm':>12}{'S focus/mm':>12}{'dist/%':>9}{'light':>8}",
+            f"{'field/mm':>9}{'chief/mm':>11}{'rms/µm':>10}{'GEO/µm':>10}{'passed':>9}"
+            f"{'T-focus/mm':>12}{'S-focus/mm':>12}{'dist/%':>9}{'light':>8}",
         ]
         c, middle = self.curves, len(self.wavelengths_nm) // 2
         for height, spot in zip(self.heights_mm, self.spots, strict=True):

@@ -158,11 +158,12 @@ class LightFieldAnalysis:
 
     def lines(self) -> list[str]:
         """Return the key figures for a terminal, one line each."""
-        lines = [f"{'lenslet/mm':>11}{'from others':>13}{'to others':>11}   cross-talk at {self.wavelength_nm:g} nm"]
+        lines = [f"cross-talk of micro-images at {self.wavelength_nm:g} nm"]
+        lines.append(f"{'lenslet/mm':>11}{'from-others':>13}{'to-others':>11}")
         lines += [f"{c.height_mm:11.3f}{c.from_others:13.2%}{c.to_others:11.2%}" for c in self.crosstalk]
-        lines.append(
-            f"{'plane/mm':>11}{'shift/p':>9}" + "".join(f"{part:>14}" for part in self.parts) + "   MTF50 / mm"
-        )
+        lines.append("frequency of half contrast (MTF50) of photographs, line pairs per mm on the array")
+        parts = "".join(f"{part.replace(' ', '-'):>14}" for part in self.parts)
+        lines.append(f"{'plane/mm':>11}{'shift/p':>9}{parts}")
         for each in self.photographs:
             halves = (half_contrast(self.frequencies_per_mm, curve) for curve in each.mtf)
             far = "inf" if math.isinf(each.distance_mm) else f"{each.distance_mm:.2f}"

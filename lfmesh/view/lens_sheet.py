@@ -206,6 +206,8 @@ def _header(figure: FigureBase, analysis: LensAnalysis) -> None:
         f"image plane z = {analysis.image_z_mm:.3f} mm   Airy radius {UM * analysis.airy_radius_mm:.2f} µm",
         fontsize=10, color=GREY,
     )  # fmt: skip
+    if words := analysis.focus_in_words:
+        figure.text(0.045, 0.939, words, color=GREY)
     for k, wavelength in enumerate(analysis.wavelengths_nm):
         figure.text(
             0.985 - 0.085 * (len(analysis.wavelengths_nm) - 1 - k), 0.952, f"— {wavelength:.1f} nm",

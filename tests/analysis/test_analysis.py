@@ -16,7 +16,7 @@ from lfmesh.assets import asset_path
 from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import refractive_index
-from lfmesh.view.lens_sheet import draw_lens_sheet
+from lfmesh.view.lens_sheet import draw_lens_sheet, sheet_of
 
 RADIUS, AWAY = 0.8, 60.0
 """Of a pinhole, mm: its radius, and its distance from the sensor."""
@@ -166,6 +166,34 @@ def test_a_field_without_a_chief_ray_says_so_and_has_no_figures_from_it() -> Non
         "    6.400  no chief ray: a surface ends before it or reflects it totally; spot and fans are about the mean "
         "place of the other rays"
     ]
+
+
+def test_every_row_of_the_printed_tables_has_as_many_values_as_the_head_has_names(pinhole: lf.LensAnalysis) -> None:
+    lines = pinhole.lines()
+    for head in (line for line in lines if line.split()[0] == "field/mm"):
+        number = lines.index(head)
+        rows = [line.split() for line in lines[number + 1 : number + 4]]
+        assert {len(row) for row in rows if row[1] != "no"} <= {len(head.split())}
+    assert "rms/µm" in lines[[line.split()[0] for line in lines].index("field/mm")]
+    assert not any("um " in line for line in lines)
+
+
+def test_a_sheet_of_another_object_than_the_focus_says_that_it_is_not_refocused() -> None:
+    """An ideal lens of 50 mm, focused at 550 mm: images lie 55 mm behind it, those of infinity 5 mm before these."""
+    lens = [{"paraxial": True, "focal_length_mm": 50.0, "semi_diameter_mm": 5.0, "stop": True}]
+    focused = scene(lens, 55.0)
+    far = analyse(focused, object_mm=math.inf, height_mm=2.0, across=8)
+    words = (
+        "not refocused: the camera is focused at 550 mm, and the object's paraxial image lies 5 mm before the image "
+        "plane; to refocus, give camera.focus_mm = inf and omit the distances"
+    )
+    assert far.focus_in_words == words
+    assert words in far.lines()
+    assert words in [text.get_text() for text in sheet_of(far).texts]
+    assert analyse(focused, object_mm=40.0, height_mm=2.0, across=8).focus_in_words.endswith("has no real image")
+    assert analyse(focused, height_mm=2.0, across=8).focus_in_words == ""
+    there = focused.changed({"camera.focus_mm": math.inf, "camera.sensor.distance_mm": None})
+    assert analyse(there, object_mm=math.inf, height_mm=2.0, across=8).focus_in_words == ""
 
 
 def test_foci_over_the_field_are_coddingtons(doublet: lf.LensAnalysis) -> None:

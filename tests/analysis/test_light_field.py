@@ -117,6 +117,10 @@ def test_the_sheet_of_a_plenoptic_camera_shows_its_light_field_and_defines_it(tm
     assert "micro-image cross-talk" in drawn
     assert "from others: share of the light" in drawn
     assert len(sheet.light_field.photographs) == 5
+    lines = [line.split() for line in sheet.light_field.lines()]
+    for head in ("lenslet/mm", "plane/mm"):
+        (number,) = (number for number, words in enumerate(lines) if words[0] == head)
+        assert len(lines[number]) == len(lines[number + 1])
     assert sheet.as_dict()["light_field"]["photographs"][2]["distance_mm"] == pytest.approx(300.0)
     focused = lf.analyse(lf.focused(ideal_camera(), 3.0), across=8, wavelengths_nm=(550.0,)).light_field
     assert focused is not None

@@ -46,6 +46,9 @@ DEPTH_LINES = (":", "--", "-", "-.", (0, (5, 1, 1, 1, 1, 1)))
 WIDEST, NARROWEST = 2.2, 0.7
 """Line widths of the first and last wavelength: both are visible where they coincide."""
 
+LEFT = 0.062
+"""Left edge of the first panels, as a fraction of the width; long numbers and a label fit beside it."""
+
 UM = 1e3
 """Micrometres per millimetre."""
 
@@ -141,7 +144,7 @@ def sheet_of(analysis: LensAnalysis) -> Figure:
 
 def _lens_part(figure: Any, analysis: LensAnalysis) -> None:
     grid = GridSpec(
-        5, 6, figure, left=0.045, right=0.965, top=0.92, bottom=0.04, wspace=0.46, hspace=0.4,
+        5, 6, figure, left=LEFT, right=0.965, top=0.92, bottom=0.04, wspace=0.46, hspace=0.4,
         height_ratios=(1.0, 1.15, 1.15, 1.15, 1.5),
     )  # fmt: skip
     _header(figure, analysis)
@@ -160,8 +163,8 @@ def _lens_part(figure: Any, analysis: LensAnalysis) -> None:
 
 
 def _light_field_part(figure: Any, light_field: LightFieldAnalysis) -> None:
-    grid = GridSpec(1, 6, figure, left=0.045, right=0.985, top=0.84, bottom=0.13, wspace=0.42)
-    figure.text(0.045, 0.94, f"Light field, {light_field.wavelength_nm:.1f} nm", fontsize=10, fontweight="bold")
+    grid = GridSpec(1, 6, figure, left=LEFT, right=0.985, top=0.84, bottom=0.13, wspace=0.42)
+    figure.text(LEFT, 0.94, f"Light field, {light_field.wavelength_nm:.1f} nm", fontsize=10, fontweight="bold")
     _crosstalk(figure.add_subplot(grid[0, 0]), light_field)
     for k, part in enumerate(light_field.parts):
         axes = figure.add_subplot(grid[0, 1 + k])
@@ -199,15 +202,15 @@ def _crosstalk(axes: Axes, light_field: LightFieldAnalysis) -> None:
 def _header(figure: FigureBase, analysis: LensAnalysis) -> None:
     facts = analysis.first_order
     at = "infinity" if math.isinf(analysis.object_mm) else f"{analysis.object_mm:.5g} mm"
-    figure.text(0.045, 0.97, analysis.name, fontsize=15, fontweight="bold")
+    figure.text(LEFT, 0.97, analysis.name, fontsize=15, fontweight="bold")
     figure.text(
-        0.045, 0.952,
+        LEFT, 0.952,
         f"f = {facts.efl_mm:.3f} mm   f/{facts.working_f_number:.2f} at work   object at {at}   "
         f"image plane z = {analysis.image_z_mm:.3f} mm   Airy radius {UM * analysis.airy_radius_mm:.2f} µm",
         fontsize=10, color=GREY,
     )  # fmt: skip
     if words := analysis.focus_in_words:
-        figure.text(0.045, 0.939, words, color=GREY)
+        figure.text(LEFT, 0.939, words, color=GREY)
     for k, wavelength in enumerate(analysis.wavelengths_nm):
         figure.text(
             0.985 - 0.085 * (len(analysis.wavelengths_nm) - 1 - k), 0.952, f"— {wavelength:.1f} nm",
@@ -249,13 +252,16 @@ def _fans(figure: FigureBase, grid: GridSpec, analysis: LensAnalysis) -> None:
     for f, (name, fans) in enumerate(zip(_field_names(analysis), analysis.fans, strict=True)):
         for side, words in enumerate(("tangential", "sagittal")):
             axes = figure.add_subplot(grid[0, 2 * f + side])
+            axes.set_title(f"{words} fan, {name}")
+            drawn = [fan.sagittal_mm if side else fan.tangential_mm for fan in fans]
+            if not np.isfinite(drawn).any():
+                _say_why(axes, f"no fan: no ray through the stop's {'yx'[side]} axis passes the lens")
+                continue
             _cross(axes)
-            for fan, look in zip(fans, _lines(analysis), strict=True):
-                values = fan.sagittal_mm if side else fan.tangential_mm
+            for fan, values, look in zip(fans, drawn, _lines(analysis), strict=True):
                 axes.plot(fan.pupil, UM * values, **look)
             axes.set_xlim(-1.0, 1.0)
             axes.set_ylim(-1.05 * UM * largest or -1.0, 1.05 * UM * largest or 1.0)
-            axes.set_title(f"{words} fan, {name}")
             axes.set_xlabel("stop radius")
             axes.set_ylabel("µm")
 
@@ -287,7 +293,7 @@ def _path_fans(places: list[Axes], analysis: LensAnalysis) -> None:
     for axes, name, waves in zip(places, _field_names(analysis), analysis.waves, strict=True):
         axes.set_title(f"path difference, {name}")
         if isinstance(waves, str):
-            _say_why(axes, waves)
+            _say_why(axes, f"no waves: {waves}")
             continue
         _cross(axes)
         for fan, look in zip(waves.fans, _lines(analysis), strict=True):
@@ -303,7 +309,7 @@ def _path_maps(figure: FigureBase, places: list[Axes], analysis: LensAnalysis) -
     for axes, name, waves in zip(places, _field_names(analysis), analysis.waves, strict=True):
         axes.set_title(f"wavefront, {name}, in waves")
         if isinstance(waves, str):
-            _say_why(axes, waves)
+            _say_why(axes, f"no waves: {waves}")
             continue
         front = waves.wavefront
         number = np.round(0.5 * (front.pupil + 1.0) * WAVEFRONT_ACROSS - 0.5).astype(int)
@@ -321,7 +327,7 @@ def _point_spreads(places: list[Axes], analysis: LensAnalysis) -> None:
     for axes, name, waves in zip(places, _field_names(analysis), analysis.waves, strict=True):
         axes.set_title(f"point spread, {name}, log")
         if isinstance(waves, str):
-            _say_why(axes, waves)
+            _say_why(axes, f"no waves: {waves}")
             continue
         spread = waves.point_spread(reach)
         least = np.log10(DARKEST_SPREAD)
@@ -336,7 +342,7 @@ def _point_spreads(places: list[Axes], analysis: LensAnalysis) -> None:
 def _say_why(axes: Axes, reason: str) -> None:
     """Write the reason for a missing picture."""
     axes.set_axis_off()
-    axes.text(0.0, 0.9, textwrap.fill(f"no waves: {reason}", NOTE_COLUMNS), va="top", transform=axes.transAxes)
+    axes.text(0.0, 0.9, textwrap.fill(reason, NOTE_COLUMNS), va="top", transform=axes.transAxes)
 
 
 def _longitudinal(axes: Axes, analysis: LensAnalysis) -> None:

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from scipy.special import j1
@@ -16,7 +17,7 @@ from lfmesh.assets import asset_path
 from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import refractive_index
-from lfmesh.view.lens_sheet import draw_lens_sheet, sheet_of
+from lfmesh.view.lens_sheet import STYLE, draw_lens_sheet, sheet_of
 
 RADIUS, AWAY = 0.8, 60.0
 """Of a pinhole, mm: its radius, and its distance from the sensor."""
@@ -166,6 +167,13 @@ def test_a_field_without_a_chief_ray_says_so_and_has_no_figures_from_it() -> Non
         "    6.400  no chief ray: a surface ends before it or reflects it totally; spot and fans are about the mean "
         "place of the other rays"
     ]
+    # Rays through the stop's x axis meet the sphere farther out than the chief ray, and end at its rim as well.
+    assert np.isnan([fan.sagittal_mm for fan in found.fans[-1]]).all()
+    panels = {axes.get_title(): axes for axes in sheet_of(found).axes}
+    tangential, sagittal = (panels[f"{side} fan, 6.40 mm"] for side in ("tangential", "sagittal"))
+    assert " ".join(sagittal.texts[0].get_text().split()) == "no fan: no ray through the stop's x axis passes the lens"
+    assert not sagittal.lines
+    assert not tangential.texts
 
 
 def test_every_row_of_the_printed_tables_has_as_many_values_as_the_head_has_names(pinhole: lf.LensAnalysis) -> None:
@@ -194,6 +202,20 @@ def test_a_sheet_of_another_object_than_the_focus_says_that_it_is_not_refocused(
     assert analyse(focused, height_mm=2.0, across=8).focus_in_words == ""
     there = focused.changed({"camera.focus_mm": math.inf, "camera.sensor.distance_mm": None})
     assert analyse(there, object_mm=math.inf, height_mm=2.0, across=8).focus_in_words == ""
+
+
+def test_no_text_of_a_sheet_is_cut_at_its_edge(doublet: lf.LensAnalysis, pinhole: lf.LensAnalysis) -> None:
+    for found in (doublet, pinhole):
+        with mpl.rc_context(STYLE):
+            figure = sheet_of(found)
+            figure.draw_without_rendering()
+            width, height = figure.bbox.size
+            for axes in figure.axes:
+                if (box := axes.get_tightbbox()) is not None and axes.axison:
+                    assert box.x0 >= 0.0, axes.get_title()
+                    assert box.y0 >= 0.0, axes.get_title()
+                    assert box.x1 <= width, axes.get_title()
+                    assert box.y1 <= height, axes.get_title()
 
 
 def test_foci_over_the_field_are_coddingtons(doublet: lf.LensAnalysis) -> None:

@@ -4,23 +4,25 @@ glTF's axes are the world's (right-handed, y up, cameras look along -z); its met
 target that names its node; its mesh stays in the file until the scene is built.
 """
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lfmesh.errors import MeshError, SceneError
+from lfmesh.errors import LensFileWarning, MeshError, SceneError
 from lfmesh.geometry.files.gltf_left_out import left_out, left_out_of_scene
 from lfmesh.geometry.files.gltf_nodes import Node, node_called, nodes_of, not_read, primitives_of
-from lfmesh.geometry.files.mesh_file import MM_PER_UNIT, gltf_document
+from lfmesh.geometry.files.mesh_file import MM_PER_UNIT, gltf_document, load_mesh
 from lfmesh.geometry.lens.solved_camera import solved_camera
-from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.meshes.mesh import Array, facet_normals
+from lfmesh.geometry.objects.targets import origin_mm
 from lfmesh.imports.gltf_lights import light_of
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.scene import Pose, Scene, Target
 from lfmesh.scene.light.lights import Light
-from lfmesh.scene.objects.gltf_keys import GltfKeys
+from lfmesh.scene.objects.gltf_keys import GltfKeys, GltfTargets
 
 MOST_OBJECTS = 10_000
 """Most objects in one file; each is a target with its own mesh."""
@@ -49,13 +51,15 @@ class GltfScene:
     nodes: list[Node]
     report: Report
 
-    def targets(self, file: str) -> tuple[Target, ...]:
+    def targets(self, file: str, placed: GltfTargets | None = None) -> tuple[Target, ...]:
         """Return one target for each node with a mesh.
 
         Parameters
         ----------
         file : str
             Name for the file in the targets.
+        placed : GltfTargets, optional
+            Scale and place of the whole. Default: as the file has it.
 
         Raises
         ------
@@ -63,7 +67,8 @@ class GltfScene:
             The file has no objects, too many, or a broken one.
         """
         self._whole_file()
-        placed = []
+        place = {} if placed is None else self._place_of(placed)
+        made = []
         facets = 0
         for node in self.nodes:
             parts = primitives_of(self.path, self.document, node)
@@ -75,15 +80,36 @@ class GltfScene:
             for what in left_out(self.document, node, parts):
                 self._enter(node.place, Verdict.APPROXIMATED, what)
             self._enter(node.place, Verdict.TAKEN, "a target")
-            placed.append(Target(name=_name(node), file=file, node=node.key))
-        if not placed:
+            made.append(Target(name=_name(node), file=file, node=node.key, **place))
+        if not made:
             raise MeshError(f"{self.path}: holds no object with facets in its scene")
-        if len(placed) > MOST_OBJECTS or facets > MOST_FACETS:
+        if len(made) > MOST_OBJECTS or facets > MOST_FACETS:
             raise MeshError(
-                f"{self.path}: holds {len(placed)} objects with {facets} facets; {MOST_OBJECTS} objects and "
+                f"{self.path}: holds {len(made)} objects with {facets} facets; {MOST_OBJECTS} objects and "
                 f"{MOST_FACETS} facets are the most"
             )
-        return tuple(placed)
+        return tuple(made)
+
+    def _place_of(self, placed: GltfTargets) -> dict[str, Any]:
+        """Return scale, position and rotation of each target about the file's origin, for an anchor of the whole.
+
+        Raises
+        ------
+        MeshError
+            The anchor is of the box round all objects, and the file has no facets.
+        """
+        whole = Target(**placed.model_dump(exclude_defaults=True))
+        if whole.anchor not in (None, "origin"):
+            with warnings.catch_warnings():
+                # The targets give these warnings when they are made.
+                warnings.simplefilter("ignore", LensFileWarning)
+                pieces = load_mesh(self.path)
+            meshes = [(piece.mesh, facet_normals(piece.mesh)[1] > 0.0) for piece in pieces]
+            corners = np.concatenate([mesh.vertices[np.unique(mesh.faces[solid])] for mesh, solid in meshes])
+            if len(corners):
+                corners = corners * (1.0 if whole.scale is None else whole.scale)
+                whole = whole.model_copy(update={"position_mm": origin_mm(whole, corners)})
+        return whole.model_dump(include={"scale", "position_mm", "rotation_deg"}, exclude_defaults=True)
 
     def lights(self, lighting: str, scene: Scene) -> tuple[Light, ...]:
         """Return the punctual lights.
@@ -213,7 +239,7 @@ def with_gltf(scene: Scene, keys: GltfKeys) -> Scene:
     changes: dict[str, Any] = {}
     if (taken := keys.targets) is not None:
         held = of("targets", taken.file)
-        changes["targets"] = _named("targets", taken.file, lambda: held.targets(taken.file))
+        changes["targets"] = _named("targets", taken.file, lambda: held.targets(taken.file, taken))
     if (shone := keys.lights) is not None:
         lamps = of("lights", shone.file)
         changes["lights"] = _named("lights", shone.file, lambda: lamps.lights(shone.lighting, scene))

@@ -86,6 +86,25 @@ def test_objects_stand_where_the_whole_file_puts_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(single[0].mesh.vertices, expected, atol=1e-3)
 
 
+@pytest.mark.parametrize("anchor", ["origin", "centre", "base"])
+def test_an_assembly_stands_as_one_target_of_its_whole_file(tmp_path: Path, anchor: str) -> None:
+    glb = Glb()
+    rig = glb.node("Rig", translation=[1, 2, 3], rotation=turn((1, 2, 3), 50), scale=[1.0, 3.0, 0.5])
+    sheet(glb, "Below", rig, translation=[0.0, 0.0, -1.0])
+    sheet(glb, "Beside", translation=[4.0, 0.0, 0.0])
+    place = f'anchor = "{anchor}", position_mm = [1.0, -20.0, -500.0], rotation_deg = [10.0, 20.0, 30.0], scale = 0.01'
+    scene = loaded(tmp_path, glb, f'targets = {{ file = "scene.glb", {place} }}')
+    whole = loads(f'targets = [{{ file = "scene.glb", {place} }}]\n{TOML}', tmp_path)
+    assert [target.name for target in scene.targets] == ["Below", "Beside"]
+    assert loads(scene.dump_toml(), tmp_path) == scene
+    parts = np.concatenate([target_mesh(target, scene).mesh.vertices for target in scene.targets])
+    one = target_mesh(whole.targets[0], whole).mesh.vertices
+    np.testing.assert_allclose(parts, one, rtol=1e-12)
+    low, high = parts.min(axis=0), parts.max(axis=0)
+    if anchor == "base":
+        np.testing.assert_allclose([0.5 * (low + high)[0], low[1], 0.5 * (low + high)[2]], [1.0, -20.0, -500.0])
+
+
 @pytest.mark.parametrize("uv_set", [0, 1])
 def test_pictures_lie_where_offset_scale_and_their_own_coordinates_put_them(tmp_path: Path, uv_set: int) -> None:
     glb = Glb()
@@ -410,7 +429,12 @@ def test_wrong_keys_and_files_are_named(tmp_path: Path) -> None:
     for keys, why in (
         ('targets = { file = "gone.glb" }', r"targets\.file = \"gone\.glb\".*no such file"),
         ('targets = { file = "a.stl" }', r"targets\.file = \"a\.stl\".*valid are \.glb and \.gltf"),
-        ('targets = { file = "scene.glb", scale = 2 }', r"targets\.scale"),
+        ('targets = { file = "scene.glb", scale = 0 }', r"targets\.scale = 0: must be above 0"),
+        ('targets = { file = "scene.glb", units = "mm" }', r"targets\.units: unknown key; .* give scale = 0\.001"),
+        (
+            'targets = { file = "scene.glb", material = {} }',
+            r"targets\.material: unknown key; .* \[\[targets\]\] with",
+        ),
         ('lights = { file = "scene.glb", lighting = "nits" }', r"lights\.lighting = \"nits\""),
         ('lights = { file = "scene.glb" }', r"holds no light that shines"),
         ("targets = { files = 1 }", "targets"),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import FileError, MeshError
 from lfmesh.geometry.files.mesh_file import FARTHEST_MM, UNIT_OF_FORMAT, load_mesh
 from lfmesh.geometry.files.piece import Piece
-from lfmesh.geometry.frame import frame
+from lfmesh.geometry.frame import frame, points
 from lfmesh.geometry.meshes.mesh import (
     Array,
     Index,
@@ -275,24 +275,35 @@ def _stood(mesh: Mesh, target: Target) -> Mesh:
         The scaled target exceeds the largest scene.
     """
     scale = 1.0 if target.scale is None else target.scale
-    turn = frame(target.rotation_deg, (0.0, 0.0, 0.0))
-    place = frame(target.rotation_deg, target.position_mm)
     if scale != 1.0:
         mesh = replace(mesh, vertices=mesh.vertices * scale)
-    if target.anchor in (None, "origin"):
-        made = mesh.moved(place)
-    else:
-        corners = mesh.vertices[np.unique(mesh.faces)]
-        middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-        made = replace(mesh, vertices=mesh.vertices - middle).moved(place)
-        if target.anchor == "base":
-            turned = replace(mesh, vertices=corners - middle, corner_normals=None).moved(turn).vertices
-            low, high = turned.min(axis=0), turned.max(axis=0)
-            foot = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
-            made = replace(made, vertices=made.vertices - foot)
+    corners = mesh.vertices[np.unique(mesh.faces)] if target.anchor not in (None, "origin") else mesh.vertices
+    made = mesh.moved(frame(target.rotation_deg, origin_mm(target, corners)))
     if np.abs(made.vertices).max() > FARTHEST_MM:
         _refuse_too_far(target, made.vertices[made.faces])
     return made
+
+
+def origin_mm(target: Target, corners: Array) -> tuple[float, float, float]:
+    """Return the position of a target's own origin in the world, at which its anchor lies at `position_mm`.
+
+    Parameters
+    ----------
+    target : Target
+    corners : (n, 3) float64, mm
+        Corners of its facets in its own frame, scaled.
+    """
+    if target.anchor in (None, "origin"):
+        return target.position_mm
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    turn = frame(target.rotation_deg, (0.0, 0.0, 0.0))
+    point = points(turn, middle[None])[0]
+    if target.anchor == "base":
+        turned = points(turn, corners - middle)
+        low, high = turned.min(axis=0), turned.max(axis=0)
+        point = np.add(point, [0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
+    x, y, z = np.subtract(target.position_mm, point).tolist()
+    return x, y, z
 
 
 def _refuse_too_far(target: Target, corners: Array) -> None:

@@ -1,13 +1,13 @@
 """Keys that take targets, lights and the camera's place from a glTF file, as Blender writes it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import ValidationError
 
 from lfmesh.scene.model import Fault, Model, fault_lines
-from lfmesh.scene.quantities import FilePath, NodeKey
+from lfmesh.scene.quantities import FilePath, NodeKey, Positive, Vector
 
 ENDINGS = (".glb", ".gltf")
 
@@ -26,6 +26,25 @@ class GltfFile(Model):
 
 class GltfTargets(GltfFile):
     """All objects of a glTF file as targets, with their names, materials and places."""
+
+    elsewhere: ClassVar[Mapping[str, str]] = {
+        "units": "a glTF file is in m; if the numbers in this one are mm, give scale = 0.001",
+        **dict.fromkeys(
+            ("material", "materials", "node"),
+            'for one object of the file write [[targets]] with file = "...", node = "..." and material = { ... }',
+        ),
+    }
+
+    scale: Positive | None = None
+    """Factor on the coordinates of the file, in addition to its unit. Use 0.001 if its numbers are in millimetres.
+    Omitted: 1."""
+    anchor: Literal["origin", "centre", "base"] | None = None
+    """Point of the whole that `position_mm` places: origin of the file, or centre or base of the box round all its
+    objects, as for a target. Omitted: "origin"."""
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    """Position of the file's own origin, or of the `anchor`, in mm."""
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    """Rotations of the whole about x, then y, then z, in degrees."""
 
 
 class GltfLights(GltfFile):

@@ -25,6 +25,7 @@ try:
             lens_sheet,
             lightfield,
             matrix,
+            new,
             optimise,
             psf,
             render,

@@ -16,6 +16,7 @@ TASKS = {
         "export": "lfmesh export run/ --format hci -o hci/",
     },
     "Lenses and scene files": {
+        "new": "lfmesh new scene.toml --camera ng_2005_handheld",
         "draw": "lfmesh draw scene.toml -o layout.svg",
         "lens": "lfmesh lens list",
         "lens list": "lfmesh lens list",

@@ -9,7 +9,7 @@ from lfmesh.scene.camera.lenslet_optics import sections
 from lfmesh.scene.distance import length_in_words, reach_in_words
 from lfmesh.scene.first_order import axial_beam
 from lfmesh.scene.first_order.beam_bounds import CLOSE, Beam
-from lfmesh.scene.first_order.focused import middle_of
+from lfmesh.scene.first_order.focused import in_focus_distance_mm
 from lfmesh.scene.first_order.meridional import beam_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.solve import focus_wished_mm
@@ -175,10 +175,8 @@ def _stop_in_image(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 def _refocus_lenslets(scene: Scene, facts: "FirstOrder", focus_mm: float) -> str:
     """Return advice on the position of a focused camera's array that puts the plane at `focus_mm` in focus."""
-    camera, middle = scene.camera, middle_of(facts.focused)
-    lens = Paraxial.of(camera.lens, scene.primary_nm)
-    behind = lens.image_mm(focus_mm) + middle.main_image_mm - (facts.lenslets_z_mm or 0.0) + lens.length_mm
-    distance = (camera.mla.distance_mm if camera.mla is not None and camera.mla.distance_mm else 0.0) + behind
+    camera = scene.camera
+    distance = in_focus_distance_mm(camera, scene.primary_nm, facts.focused, focus_mm)
     found = (
         f"focus_mm = {camera.focus_mm:g}, but the lenslets image what is in focus at "
         f"{length_in_words(facts.object_distance_mm)}"

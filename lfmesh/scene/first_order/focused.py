@@ -21,6 +21,7 @@ from lfmesh.scene.camera.lenslet_optics import LensletOptics, lenslet_optics
 from lfmesh.scene.first_order.conjugates import along_depths
 from lfmesh.scene.first_order.lenslets import lenslet_to_sensor_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
+from lfmesh.scene.first_order.solve import front_principal_mm
 
 FOCUSED_BLUR_PX = 1.0
 """Blur of a distant pupil's image above which lenslets are taken to image the main image instead."""
@@ -163,3 +164,23 @@ def _of_type(
 def middle_of(types: Sequence[Type]) -> Type:
     """Return the type of the middle focal length, which defines the camera's focus."""
     return sorted(types, key=lambda at: at.focal_length_mm)[len(types) // 2]
+
+
+def in_focus_distance_mm(
+    camera: Camera, wavelength_nm: float, types: Sequence[FocusedLenslets], focus_mm: float
+) -> float:
+    """Return the `distance_mm` of a focused camera's array that puts a plane in focus.
+
+    Parameters
+    ----------
+    camera : Camera
+        Solved.
+    wavelength_nm : float
+    types : sequence of FocusedLenslets
+        The camera's lenslets; they do not depend on the array's distance.
+    focus_mm : float
+        Distance of the plane before the first vertex.
+    """
+    lens = Paraxial.of(camera.lens, wavelength_nm)
+    front = front_principal_mm(camera.mla, wavelength_nm) if camera.mla is not None else 0.0
+    return lens.image_mm(focus_mm) + middle_of(types).main_image_mm - front

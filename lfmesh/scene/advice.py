@@ -329,11 +329,12 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
             f"micro-images overlap: they are {diameter:.4g} pixels wide and {pitch:.4g} apart; stop the lens "
             f"down to f/{facts.working_f_number * diameter / pitch:.3g}"
         )
-    elif diameter < pitch * (1 - _F_NUMBER_TOLERANCE):
+    lit = diameter + _pupil_blur_px(scene, facts)
+    if lit < pitch * (1 - _F_NUMBER_TOLERANCE):
         cell = mla.row_pitch_mm / mla.pitch_mm * pitch**2
         yield (
-            f"micro-images leave gaps: they are {diameter:.4g} pixels wide and {pitch:.4g} apart; "
-            f"{1 - math.pi / 4 * diameter**2 / cell:.0%} of the pixels stay dark"
+            f"micro-images leave gaps: they are {lit:.4g} pixels wide and {pitch:.4g} apart; "
+            f"{1 - math.pi / 4 * lit**2 / cell:.0%} of the pixels stay dark"
         )
     if pitch < 2:
         yield f"micro-images are {pitch:.3g} pixels apart: too few to tell directions"
@@ -352,6 +353,19 @@ def _matching(scene: Scene, facts: "FirstOrder", microlens: float) -> str:
         length = facts.working_f_number * mla.pitch_mm
         ways.insert(0, f"camera.mla.focal_length_mm = {length:.4g} (sensor in the focal plane)")
     return f"; they match with {' or '.join(ways)}"
+
+
+def _pupil_blur_px(scene: Scene, facts: "FirstOrder") -> float:
+    """Return the blur of the pupil's image behind the sharpest lenslets for it, in pixels.
+
+    The lenslets of a standard camera image the pupil onto the sensor. Those of a focused camera image it p |1/v - d/D|
+    out of focus: p is the pitch, v the virtual depth, d and D the distances from the lenslet to sensor and pupil.
+    """
+    mla, pitch = scene.camera.mla, facts.micro_image_pitch_px
+    if mla is None or pitch is None or not facts.focused:
+        return 0.0
+    cell = mla.pitch_mm / scene.camera.sensor.pixel_mm
+    return min(abs(cell * (1.0 + 1.0 / at.virtual_depth) - pitch) for at in facts.focused)
 
 
 def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:

@@ -131,6 +131,8 @@ def test_the_r12_has_micro_images_as_wide_as_measured_in_white_images() -> None:
         blur = camera.mla.pitch_mm / pixel * (1 / to_pupil - 1 / at.main_image_mm) * at.to_sensor_mm
         radius = (facts.micro_image_diameter_px + blur) / 2
         assert radius == pytest.approx(-(m / 4 + each) / pixel, rel=0.013)
+    # So wide, they leave no gaps at a pitch of 23.3 pixels, though the pupil's image is 12.9 pixels wide.
+    assert not any("micro-images leave gaps" in warning for warning in facts.warnings)
 
 
 def test_the_piv_camera_has_the_micro_images_and_the_field_of_its_toolkit() -> None:

@@ -60,6 +60,32 @@ def test_commands_and_snippets_run_in_their_order(page: str, folder: Path, monke
     assert ran >= 4
 
 
+GUIDES = re.findall(r"^(\w+)$", PAGES["guides"], flags=re.MULTILINE)
+"""Pages of the list of guides, each with files of its own."""
+
+
+@pytest.mark.parametrize("page", GUIDES)
+def test_a_guide_runs_from_an_empty_folder(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each file has its name in its first line; the snippets of a page share their names, as in one session."""
+    monkeypatch.chdir(tmp_path)
+    session: dict[str, object] = {"__name__": "__main__"}
+    ran = 0
+    for language, block in re.findall(r"^```(toml|sh|python)\n(.*?)^```$", PAGES[page], flags=re.MULTILINE | re.DOTALL):
+        ran += language != "toml"
+        if language == "toml":
+            name = re.match(r"# (\w+\.toml)\n", block)
+            assert name, block
+            Path(name[1]).write_text(block)
+        elif language == "python":
+            exec(compile(block, page, "exec"), session)
+        else:
+            for line in block.splitlines():
+                program, *words = shlex.split(line)
+                assert program == "lfmesh"
+                assert main(words) == 0, line
+    assert ran >= 3
+
+
 def test_every_warning_is_explained_in_the_order_of_importance() -> None:
     explained = re.findall(r"^## (\w+)$", PAGES["warnings"], flags=re.MULTILINE)
     others = [name for name, each in vars(errors).items() if isinstance(each, type) and each.__base__ is UserWarning]

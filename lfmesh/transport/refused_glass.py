@@ -387,9 +387,9 @@ def closed_gaps(scene: Scene, targets: list[TargetMesh]) -> list[str]:
             size = max(float(np.ptp(targets[k].mesh.vertices, axis=0).max()) for k in (i, j))
             if gap is not None and gap > AS_CLOSE * FLOAT32_GRAIN * size:
                 lines.append(
-                    f"{named_target(scene, i)} and {named_target(scene, j)}: faces {plain(gap, 2)} mm apart are taken "
-                    f"to touch, without air between them, as all that are nearer than {plain(near, 2)} mm "
-                    f"({CUT:g} of the smaller body's size); leave more between them if there is air"
+                    f"{named_target(scene, i)} and {named_target(scene, j)}: faces {plain(gap, 2)} mm apart are "
+                    f"taken to touch, without air between them. If there is air, leave more than {plain(near, 2)} mm "
+                    f"({CUT:g} of the smaller body's size)"
                 )
     return lines
 
@@ -407,9 +407,9 @@ def cut_bodies(scene: Scene, targets: list[TargetMesh]) -> list[str]:
                 continue
             if _cut_each_other(targets[i].mesh, targets[j].mesh):
                 lines.append(
-                    f"{named_target(scene, i)} and {named_target(scene, j)} cut each other, and their facets stand for "
-                    "curved surfaces. Rays that pass the cut as near as facets stand off these may be lost, or take "
-                    "one body for the other. Finer meshes have less of it"
+                    f"{named_target(scene, i)} and {named_target(scene, j)} cut each other, and their facets "
+                    "approximate curved surfaces. Rays that pass close to the cut may be lost, or take one body for "
+                    "the other. Use finer meshes"
                 )
     return lines
 

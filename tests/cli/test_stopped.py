@@ -138,7 +138,7 @@ def test_one_signal_ends_a_render_whose_packets_have_no_end(
     monkeypatch.setattr(Tally, "restart", restart)
     assert main(["render", "scene.toml", "-o", "out"]) == SIGNALS[number]
     assert time.monotonic() < until
-    assert "1 of 4 replicates were finished" in " ".join(capsys.readouterr().err.split())
+    assert "interrupted after 1 of 4 replicates" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.usefixtures("_files")

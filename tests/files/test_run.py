@@ -193,8 +193,8 @@ def test_an_interrupted_run_is_valid_and_marked(image_of: Build, tmp_path: Path)
     assert np.isnan(back.stderr).all()
     (warning,) = back.warnings
     assert isinstance(warning, lf.InterruptedRenderWarning)
-    assert "1 of 8 replicates were finished, 8 samples a pixel. The picture is noisier" in str(warning)
-    assert "the errors of its pixels are not known" in str(warning)
+    assert "interrupted after 1 of 8 replicates, 8 samples per pixel. The picture is noisier" in str(warning)
+    assert "its errors are unknown" in str(warning)
     assert not found(image_of(aim=proven))
 
 

@@ -189,8 +189,8 @@ def test_a_run_tells_the_progress_of_spreads_and_what_light_they_bring() -> None
     assert image.ledger.untraced == pytest.approx(image.mean.sum() - traced.mean.sum(), rel=1e-9)
     assert abs(image.ledger.imbalance) < 1e-12
     share = percent(image.ledger.untraced / image.mean.sum())
-    assert any(line.startswith("Particles bring") and share in line for line in account(image))
-    assert not any(line.startswith("Particles bring") for line in account(traced))
+    assert any(line.startswith("Particles, pictured by") and share in line for line in account(image))
+    assert not any(line.startswith("Particles, pictured by") for line in account(traced))
 
 
 def test_check_says_beforehand_how_many_particles_are_pictured_by_spreads() -> None:

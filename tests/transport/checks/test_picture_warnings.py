@@ -276,7 +276,7 @@ def no_proof_rays(patch: Patch, _: Path) -> lf.Scene:
     ("case", "words"),
     [
         (lens_of_a_mesh_file, "as the lens has surfaces of mesh files"),
-        (few_proof_rays, "rays are too few to tell"),
+        (few_proof_rays, "test rays cannot rule out less"),
         (no_proof_rays, "no ray from the stop could be traced to the sensor"),
     ],
 )
@@ -411,5 +411,5 @@ def test_a_picture_with_values_that_are_no_numbers_is_warned_of() -> None:
     spoiled = image.mean.copy()
     spoiled[0, 0] = np.nan
     told = found(replace(image, mean=spoiled))
-    assert any("1 values of the picture are no numbers" in str(each) for each in told)
-    assert not any("no numbers" in str(each) for each in found(image))
+    assert any("1 values of the picture are not numbers" in str(each) for each in told)
+    assert not any("not numbers" in str(each) for each in found(image))

@@ -153,7 +153,7 @@ def test_a_wrong_scene_gets_one_line(
 def test_max_samples_without_a_target_error_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = files(folder)
     assert main(["render", "scene.toml", "-o", "run", "--max-samples", "256"]) == 2
-    assert "--max-samples = 256: changes nothing without --target-error" in complaint(capsys)
+    assert "--max-samples = 256: has no effect without --target-error" in complaint(capsys)
     assert files(folder) == before
 
 

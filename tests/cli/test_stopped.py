@@ -81,7 +81,7 @@ def test_what_is_finished_is_said_and_gone_on_from(
     place, part, folder = COMMANDS[words]
     for done, said in (
         (0, f"Stopped: none of its {part}s is finished; the same command begins with the first.\n"),
-        (1, f"Stopped: 1 {part} kept in {folder}; the same command goes on.\n"),
+        (1, f"Stopped: 1 {part} kept in {folder}; the same command continues.\n"),
     ):
         with monkeypatch.context() as patch:
             stop_after(done, number, place, patch)

@@ -127,7 +127,7 @@ def test_a_run_that_is_complete_says_so_and_stays_as_it_is(folder: Path, capsys:
     before = (folder / "run/report.json").read_bytes()
     capsys.readouterr()
     assert main(["render", "--resume", "run"]) == 0
-    assert capsys.readouterr().out == "run is complete: there is nothing to go on with.\n"
+    assert capsys.readouterr().out == "run is complete: there is nothing to continue.\n"
     assert (folder / "run/report.json").read_bytes() == before
 
 
@@ -250,7 +250,7 @@ def test_a_render_that_was_cut_short_begins_anew_only_where_that_is_asked_for(
     capsys.readouterr()
     assert main(["render", "scene.toml", "-o", "run", "--seed", "5"]) == 2
     said = capsys.readouterr().err
-    assert "--resume run goes on with it; --restart begins anew" in said
+    assert "continue it with lfmesh render --resume run, or begin anew with --restart" in said
     assert said.count("\n") == 1
     assert main(["render", "--resume", "run"]) == 0
     assert lf.open_run("run").scene.transport.seed == 0

@@ -178,7 +178,7 @@ def test_the_command_line_makes_the_run_of_all_shares(
     capsys.readouterr()
     for words, fault in (
         (["scene.toml", "-o", "x", "--shard", "3/2"], "--shard 3/2"),
-        (["scene.toml", "-o", "x", "--shard", "1/2", "--dask", "local"], "do not go together"),
+        (["scene.toml", "-o", "x", "--shard", "1/2", "--dask", "local"], "cannot be combined"),
         (["scene.toml", "-o", "x", "--shard", "1/2", "--white"], "--white"),
         (["scene.toml", "-o", "x", "--shard", "1/2", "--restart"], "leave it out beside --shard"),
         (["--merge", "part1", "part2", "-o", "x", "--restart"], "leave it out beside --merge"),

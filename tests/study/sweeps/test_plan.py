@@ -179,7 +179,7 @@ def test_a_dry_run_lists_points_and_computes_none(
     printed = capsys.readouterr().out
     assert "camera.mla.pose.shift_mm[0] = 0.02" in printed
     assert "3 points, 3 units" in printed
-    assert re.search(r"about [\d.]+ s \([\d.]+ s to start, [\d.]+ s a camera in one process\), [\d.]+ GB", printed)
+    assert re.search(r"about [\d.]+ s \([\d.]+ s to start, [\d.]+ s per camera in one process\), [\d.]+ GB", printed)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["scene.toml", "study.toml"]
 
 

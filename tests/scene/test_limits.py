@@ -120,4 +120,4 @@ def test_an_array_round_the_exit_pupil_is_reported_on(distance_mm: float, pitch_
     assert report.exit_pupil_z_mm == 129.0
     assert report.micro_image_pitch_px == pytest.approx(pitch_px)
     assert report.lines()
-    assert any("fall on one another" in warning for warning in report.warnings) == (pitch_px <= 0)
+    assert any("micro-images coincide" in warning for warning in report.warnings) == (pitch_px <= 0)

@@ -201,7 +201,7 @@ def test_a_dry_run_warns_of_what_the_check_of_an_item_warns_of(
     for words in (["check", str(tmp_path / "scene.toml")], ["dataset", str(tmp_path / "data.toml"), "--dry-run"]):
         assert main(words) == 0
         said = capsys.readouterr()
-        assert "diffraction blurs" in " ".join((said.err + said.out).split())
+        assert "diffraction is not traced" in " ".join((said.err + said.out).split())
 
 
 def test_a_dry_run_lists_and_writes_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

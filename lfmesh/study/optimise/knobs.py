@@ -124,7 +124,7 @@ def _faults(variable: Variable, scene: Scene) -> Iterator[str]:
         return
     flat = variable.is_radius and value == math.inf
     if value is None:
-        yield f"{named}, which is solved or left out; give it a number to begin with"
+        yield f"{named}, solved or left out; give it a number to begin with"
     elif not is_number(value) and not flat:
         yield f"{named}, no number; give values to choose from in place of a range"
     elif isinstance(value, int):

@@ -343,10 +343,10 @@ def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
     notes += _not_searched(problem, search)
     if search.cut:
         most = problem.design.search.evaluations
-        notes.append(f"a search ended after evaluations = {most} cameras, before it had found its best: allow more")
+        notes.append(f"a search ended after evaluations = {most} cameras, before it converged: allow more")
     notes += [
-        f"a search ended at a camera around which {title} is not known, so that its derivative could not be told: "
-        "begin elsewhere, or raise samples"
+        f"a search ended at a camera around which {title} is unknown, so it has no derivative: begin elsewhere, or "
+        "raise samples"
         for title in sorted(search.left_open)
     ]
     if search.beyond_reach and problem.violation(search.best):
@@ -366,8 +366,8 @@ def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
                 f"pass: {rays.stopped}; give a smaller height_mm"
             )
         notes.append(
-            f"derivatives of rays are those of traced rays; the {rays.passed} rays are those that pass the lens at "
-            "first, all of one weight; apertures take none of them later: lfmesh lens sheet tells what passes at last"
+            f"the search follows the {rays.passed} rays that pass the starting lens, equally weighted, and does not "
+            "update vignetting: check the result with lfmesh lens sheet"
         )
     if "render" in sources:
         notes.append("derivatives of pictures are differences over 1 % of a range, with common random numbers")
@@ -390,7 +390,7 @@ def _differences(problem: Problem, best: Rated) -> Iterator[str]:
     try:
         again = problem.looked_at_again(best.place)
     except LfmeshError as error:
-        yield f"the best camera cannot be looked at with other rays: {error}"
+        yield f"the best camera could not be checked with other rays: {error}"
         return
     for goal, value in again.items():
         searched = shown_value(goal.metric, best.figures[goal].value)

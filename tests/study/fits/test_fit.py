@@ -257,7 +257,7 @@ FULL = np.full((80, 80), 255, np.uint8)
         (np.zeros((80, 80)), "is black"),
         (FULL, r"100\.0% of the white image's pixels are at 255.*saturated"),
         (np.full((80, 80), np.nan), "no number"),
-        (np.ones((80, 80)), "no camera like the scene.s takes this picture"),
+        (np.ones((80, 80)), "no camera like the scene.s fits this picture"),
         (np.ones((4, 80, 80)), "80 × 4 pixels"),
         (np.ones(80), r"must be \(H, W\)"),
         (np.array([["a"]]), "real numbers"),

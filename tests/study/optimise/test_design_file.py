@@ -180,7 +180,10 @@ def test_the_command_writes_the_best_scene_and_a_report(tmp_path: Path, capsys: 
     # A target that is reached to rounding leaves a merit of some 1e-25, in which no digit is one.
     assert facts["merit_after"] < 1e-15
     assert re.match(r"merit 44\.4444 before, 0 after\n", text)
-    assert "The merit was 44.4444 and is 0." in (tmp_path / "best" / "report.html").read_text()
+    assert (
+        "Merit function: 44.4444 before, 0 after (smaller is better)."
+        in (tmp_path / "best" / "report.html").read_text()
+    )
 
 
 def test_the_page_holds_figures_variables_and_both_cameras_and_loads_nothing(tmp_path: Path) -> None:

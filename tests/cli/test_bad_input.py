@@ -124,7 +124,7 @@ SAID_BY_THE_SCENE = {
         "reflectance is given too",
     ),
     "missing mesh": ('"part.stl"', '"gone.stl"', "gone.stl"),
-    "mesh without units": ('units = "mm"\n', "", 'give units = "mm", say'),
+    "mesh without units": ('units = "mm"\n', "", 'give units, e.g. "mm"'),
     "unknown kind of mesh": ('"part.stl"', '"chart.png"', "must end in one of .stl"),
     "missing texture": ('"chart.png"', '"gone.png"', "gone.png"),
     "absurd sensor": ("pixels = [40, 40]", "pixels = [4000000, 4000000]", " GB of memory"),

@@ -217,7 +217,7 @@ def test_a_file_that_changed_or_went_since_is_named_in_one_line(
     shutil.rmtree(cut_short / "inputs")
     assert "chart.png has changed since the run began" in refusal(capsys)
     (folder / "chart.png").unlink()
-    assert "chart.png is missing, which the run began with" in refusal(capsys)
+    assert "chart.png is missing, but the run began with it" in refusal(capsys)
     copy.parent.mkdir()
     copy.write_bytes(kept)
     assert main(["render", "--resume", "run"]) == 0

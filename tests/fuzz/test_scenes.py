@@ -180,7 +180,7 @@ def test_a_lens_surface_with_a_harsh_key_is_read_or_refused(key: str) -> None:
 def test_lenslets_of_a_glass_that_bends_no_light_are_refused() -> None:
     text = BENCH.replace('glass = "SCHOTT/N-BK7"', "glass = { nd = 1.0, vd = 60.0 }")
     assert text != BENCH
-    with pytest.raises(LfmeshError, match=r"camera\.mla\.glass: has the index 1 beside the air"):
+    with pytest.raises(LfmeshError, match=r"camera\.mla\.glass: has the index 1 relative to the air"):
         loads(text)
 
 

@@ -409,7 +409,7 @@ def test_wrong_keys_and_files_are_named(tmp_path: Path) -> None:
             loads('targets = { file = "pipe.glb" }\n' + TOML, tmp_path)
     for keys, why in (
         ('targets = { file = "gone.glb" }', r"targets\.file = \"gone\.glb\".*no such file"),
-        ('targets = { file = "a.stl" }', r"targets\.file = \"a\.stl\".*valid are \.glb and \.gltf"),
+        ('targets = { file = "a.stl" }', r"targets\.file = \"a\.stl\".*must end in \.glb or \.gltf"),
         ('targets = { file = "scene.glb", scale = 2 }', r"targets\.scale"),
         ('lights = { file = "scene.glb", lighting = "nits" }', r"lights\.lighting = \"nits\""),
         ('lights = { file = "scene.glb" }', r"holds no light that shines"),

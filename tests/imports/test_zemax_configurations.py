@@ -171,5 +171,5 @@ def test_choices_need_a_lens_file_of_another_program(folder):
         SceneError, match=r"configuration can be chosen for \.csv, \.json, \.len, \.seq, \.zmx files only"
     ):
         loads((SCENE % "configuration = 1").replace("zoom.zmx", "lens.toml"), folder)
-    with pytest.raises(SceneError, match=r"camera\.lens\.configuration = 1: it chooses from a lens file"):
+    with pytest.raises(SceneError, match=r"camera\.lens\.configuration = 1: it selects from a lens file"):
         loads((SCENE % "configuration = 1").replace('file = "zoom.zmx"', "surfaces = []"), folder)

@@ -19,7 +19,7 @@ TEXTURE = '[[targets]]\nshape = {{ kind = "disk", radius_mm = 1.0 }}\n[targets.m
 REFUSED = {
     "an integer of 4000 digits": (SCENE.replace("[4, 4]", f"[{'9' * 4000}, 4]"), "camera.mla.count[0] = an integer of"),
     "an integer of 9000 digits": (SCENE.replace("[4, 4]", f"[{'9' * 9000}, 4]"), "thousands of digits"),
-    "a hexadecimal integer": (SCENE.replace("[4, 4]", f"[0x{'f' * 9000}, 4]"), "some 10837 digits"),
+    "a hexadecimal integer": (SCENE.replace("[4, 4]", f"[0x{'f' * 9000}, 4]"), "about 10837 digits"),
     "nested lists": (SCENE.replace("[4, 4]", "[" * 5000 + "]" * 5000), "too deep"),
     "nested tables": (SCENE.replace("[4, 4]", f"[{{ {'a.' * 3000}b = 1 }}, 4]"), "too deep"),
     "a file name with NUL": (SCENE + TEXTURE.format('"a\\u0000b.png"'), "no NUL character"),
@@ -41,7 +41,7 @@ REFUSED = {
     ),
     "too many asphere terms": (
         SCENE.replace("radius_mm = 50.0", f"radius_mm = 50.0, asphere_mm = {[0.0] * (MOST_ASPHERE_TERMS + 1)}"),
-        f"may have {MOST_ASPHERE_TERMS} entries at most",
+        f"may have at most {MOST_ASPHERE_TERMS} entries",
     ),
     "too many replicates": (SCENE + "[transport]\nreplicates = 100000000", "must be 10,000 or less"),
     "a wavelength below zero, and no other": (SCENE + "[transport]\nwavelengths_nm = [-500.0]", "must be 100 or more"),

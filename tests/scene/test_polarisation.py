@@ -65,18 +65,18 @@ def test_a_scene_with_polarised_light_survives_its_file():
         ),
         (
             {"camera": close_up_camera() | {"mla": close_up_camera()["mla"] | {"curved_coating": "share"}}},
-            'camera.mla.curved_coating = "share": transport.polarisation needs the phases of this coating, which its '
-            "reflectance does not tell; give it layers",
+            'camera.mla.curved_coating = "share": transport.polarisation needs the phases of this coating, which '
+            "reflectance does not give; give layers",
         ),
         (
             {"camera": close_up_camera() | {"mla": close_up_camera()["mla"] | {"flat_coating": "table"}}},
-            'camera.mla.flat_coating = "table": transport.polarisation needs the phases of this coating, which its '
-            "table does not tell; give it layers",
+            'camera.mla.flat_coating = "table": transport.polarisation needs the phases of this coating, which '
+            "table does not give; give layers",
         ),
         (
             {"camera": close_up_camera() | {"mla": close_up_camera()["mla"] | {"flat_coating": "measured"}}},
-            'camera.mla.flat_coating = "measured": transport.polarisation needs the phases of this coating, which its '
-            "measured does not tell; give it layers",
+            'camera.mla.flat_coating = "measured": transport.polarisation needs the phases of this coating, which '
+            "measured does not give; give layers",
         ),
         (
             {"camera": camera_without_array() | {

@@ -304,8 +304,8 @@ def test_reflections_diffract_alike_both_ways(split: str) -> None:
     ("changed", "words"),
     [
         ({"camera.mla": None}, "needs camera.mla"),
-        ({"camera.mla.curved_finish": "diffuse"}, "needs an array that is polished"),
-        ({"transport.polarisation": True}, "is not followed for polarised light"),
+        ({"camera.mla.curved_finish": "diffuse"}, "needs a polished array"),
+        ({"transport.polarisation": True}, "is not traced for polarised light"),
     ],
 )
 def test_what_is_not_followed_is_refused(changed: dict[str, Any], words: str) -> None:

@@ -31,7 +31,7 @@ def reflectance_at(scene: Scene, number: int, wavelengths_nm: tuple[float, ...])
     curve = curve_of(scene.targets[number].material.reflectance, reach_nm, scene, where)
     if curve.values.max() > 1.0:
         at = curve.wavelengths_nm[curve.values.argmax()]
-        raise SceneError(f"{where}: value {curve.values.max():g} at {at:g} nm: a reflectance is from 0 to 1")
+        raise SceneError(f"{where}: value {curve.values.max():g} at {at:g} nm: a reflectance must lie between 0 and 1")
     return curve.at(wavelengths_nm)
 
 

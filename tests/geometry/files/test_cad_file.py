@@ -273,7 +273,7 @@ def test_time_for_a_file_grows_with_its_size(tmp_path):
         ({"file": "a.stl", "units": "mm", "node": "b"}, 'node = "b": omit it: only .glb, .gltf, .step, .stp, .3mf'),
         ({"file": "a.step", "tolerance_mm": 0.0}, "tolerance_mm"),
         ({"shape": {"kind": "disk", "radius_mm": 1.0}, "tolerance_mm": 0.1}, "tolerance_mm = 0.1: only for a STEP"),
-        ({"file": "a.iges"}, "let the CAD program save it as STEP"),
+        ({"file": "a.iges"}, "export it from the CAD program as STEP"),
     ],
 )
 def test_keys_of_solids_are_refused_where_they_mean_nothing(keys, message):

@@ -232,7 +232,7 @@ def test_the_command_names_file_and_fault(
 def test_files_of_another_kind_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     design = write_design(tmp_path)
     assert main(["optimise", str(tmp_path / "camera.toml"), "-o", str(tmp_path / "best")]) == 2
-    assert "is a scene file, and a design file is needed" in " ".join(capsys.readouterr().err.split())
+    assert "is a scene file, but a design file is needed" in " ".join(capsys.readouterr().err.split())
     assert main(["check", str(design)]) == 2
     assert "lfmesh optimise takes it" in " ".join(capsys.readouterr().err.split())
 

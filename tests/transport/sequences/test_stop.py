@@ -180,7 +180,7 @@ def test_light_that_turns_past_a_rim_at_the_stop_is_in_the_picture(rim: str) -> 
     [
         ({"transport.split": "both"}, "along the image path alone"),
         ({"transport.engine": "mesh"}, "along the image path alone"),
-        ({"transport.diffraction": "lenslets"}, 'without an array take "stop"'),
+        ({"transport.diffraction": "lenslets"}, 'without an array give "stop"'),
     ],
 )
 def test_what_is_not_followed_is_refused(changed: dict[str, Any], words: str) -> None:
@@ -195,7 +195,7 @@ def test_surfaces_that_are_not_exact_are_refused() -> None:
 
 def test_a_stop_is_not_diffracted_at_before_an_array() -> None:
     mla = {"count": (3, 3), "pitch_mm": 0.1, "radius_mm": 1.0, "index": 1.5, "thickness_mm": 0.1}
-    with pytest.raises(lf.LfmeshError, match="makes pictures behind an array worse"):
+    with pytest.raises(lf.LfmeshError, match="worsens pictures behind an array"):
         edge("on a surface").changed({"camera.mla": mla})
 
 

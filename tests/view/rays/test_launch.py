@@ -230,7 +230,7 @@ def test_words_that_cannot_be_launched_are_one_clear_message(glowing, words, say
         (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 0), "count = 0"),
         (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 1.5), "count = 1.5"),
         (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 10**9), "paths of 1,000,000 rays at most"),
-        (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 10**5000), "integer of some 5000 digits"),
+        (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 10**5000), "integer of about 5000 digits"),
         (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 9, split="all"), "both, roulette, transmit"),
         (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 9, aim="stop"), '"pupil" or "lens"'),
         (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 9, wavelength_nm=-1.0), "wavelength_nm = -1.0"),

@@ -134,7 +134,7 @@ def test_a_header_that_is_longer_than_any_is_not_unpacked(tmp_path: Path) -> Non
         ({"spacing_mm": np.ones(3), "origin_mm": np.ones(2)}, "origin_mm must be three numbers"),
         ({"spacing_mm": np.ones(7)}, "spacing_mm has 7 numbers"),
         ({"spacing_mm": np.ones(3), "temperature_k": np.ones((2, 2, 2))}, "differ in shape"),
-        ({"spacing_mm": np.ones(3), "colour": np.ones((2, 2, 2))}, "no array is called 'colour'"),
+        ({"spacing_mm": np.ones(3), "colour": np.ones((2, 2, 2))}, "unknown array 'colour'"),
     ],
 )
 def test_the_voxels_of_a_medium_are_not_unpacked_if_the_file_is_wrong_elsewhere(

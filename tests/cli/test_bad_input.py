@@ -249,7 +249,7 @@ SAID_BY_THE_FILES = {
             'file = "part.stl"\nunits = "mm"',
             'refractor = { file = "part.stl", units = "mm", index = 1.5 }',
         ),
-        "a refractor must be a closed body; 3 of its edges join no second facet",
+        "a refractor must be a closed body; 3 of its edges belong to only one facet",
     ),
 }
 """What shows only when the scene is built."""

@@ -28,7 +28,7 @@ def refusal_of(*pairs):
     ("pairs", "line", "why"),
     [
         # Glass up to the image, apertures that cross, coefficients beyond all numbers, a step back.
-        ((("  DISZ 50\n", "  DISZ 50\n  GLAS N-BK7\n"),), "line 39: GLAS N-BK7", "the image stands in this glass"),
+        ((("  DISZ 50\n", "  DISZ 50\n  GLAS N-BK7\n"),), "line 39: GLAS N-BK7", "the image lies in this glass"),
         (
             (
                 ("  DISZ 5\n", "  DISZ 0.2\n"),

@@ -38,7 +38,7 @@ def test_columns_and_rows_may_stand_in_any_order(tmp_path):
 
 WRONG = {
     "a gap": ([row for row in ROWS if row != (600, 45, 0.03)], "no reflectance for 600 nm at 45 degrees"),
-    "twice": ([*ROWS, (600, 45, 0.04)], "600 nm at 45 degrees stands there twice"),
+    "twice": ([*ROWS, (600, 45, 0.04)], "600 nm at 45 degrees is given twice"),
     "not to grazing": (
         [row for row in ROWS if row[1] != 90],
         "must reach from 0 to 90 degrees; they reach from 0 to 45",

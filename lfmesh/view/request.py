@@ -218,7 +218,7 @@ def together(parts: Sequence[Rays]) -> Rays:
         return first
     if len({part.unit for part in parts}) > 1:
         raise LfmeshError(
-            "rays launched from pixels (m² sr) and rays launched with the light (W) have no common power; show one kind"
+            "rays launched from pixels (m² sr) and rays launched with the light (W) have different units; show one kind"
         )
     arriving: dict[str, float] = {}
     for part in parts:

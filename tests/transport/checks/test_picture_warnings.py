@@ -368,7 +368,7 @@ def test_a_projection_matrix_warns_of_clear_air_and_of_what_its_camera_is_known_
     box = ["--counts", "2", "2", "2", "--size-mm", "4", "4", "4", "--position-mm", "0", "0", "-60"]
     assert main(["matrix", "scene.toml", *box, "-o", "m.npz"]) == 0
     err = " ".join(capsys.readouterr().err.split())
-    assert err.count("Warning: media[0]: what media absorb") == 1
+    assert err.count("Warning: media[0]: this projection matrix ignores absorption") == 1
     assert err.count("Warning: the lens's Airy disk") == 1
 
 

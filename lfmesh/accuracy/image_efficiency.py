@@ -263,7 +263,7 @@ def study_images(
     small, binned = _binned(scene, effort.pixels)
     references: dict[Way, Image] = {}
     for way in dict.fromkeys(way.reference for way in ways):
-        say(f"images: reference by {way.name}, {effort.reference} samples a pixel")
+        say(f"images: reference by {way.name}, {effort.reference} samples per pixel")
         references[way] = _run(_world(small, way, effort.reference, REFERENCE_REPLICATES), way, seed)[0]
     main = references.get(SOBOL, next(iter(references.values())))
     power = _power(main)
@@ -277,7 +277,7 @@ def study_images(
         # Compile first.
         _run(_world(small, way, REPLICATES, REPLICATES), way, seed)
         for samples in effort.samples[way.name]:
-            say(f"images: {way.name}, {samples} samples a pixel")
+            say(f"images: {way.name}, {samples} samples per pixel")
             world = _world(small, way, samples, REPLICATES)
             runs = [_run(world, way, seed + 1 + k) for k in range(effort.repeats)]
             rows.append(_row(way, samples, runs, references[way.reference]))

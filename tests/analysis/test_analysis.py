@@ -163,8 +163,8 @@ def test_a_field_without_a_chief_ray_says_so_and_has_no_figures_from_it() -> Non
     assert edge.reach_mm >= edge.rms_mm > 0.0
     assert np.isnan(found.curves.chief_mm[:, -1]).all()
     assert [line for line in found.lines() if "no chief ray:" in line] == [
-        "    6.400  no chief ray: a surface ends before it or reflects it totally; spot and fans are about the mean "
-        "place of the other rays"
+        "    6.400  no chief ray: a surface ends before it or reflects it totally; spot and fans are relative to the "
+        "mean of the other rays"
     ]
 
 

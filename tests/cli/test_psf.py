@@ -34,7 +34,7 @@ def test_files_hold_the_point_spread_of_the_script(tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.parametrize(
-    ("point", "words"), [(["0", "0", "500"], "z below 0"), (["9000", "0", "-500"], "lets none of its light pass")]
+    ("point", "words"), [(["0", "0", "500"], "z below 0"), (["9000", "0", "-500"], "transmits none of its light")]
 )
 def test_points_that_cannot_be_are_refused_in_one_line(
     point: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -82,7 +82,7 @@ SOBOL = Way(
 )  # fmt: skip
 PARTS = Way(
     "adjoint, in parts",
-    "the same, the image path through exact surfaces in their order, the reflections apart from it",
+    "the same, the image path sequentially through exact surfaces, the reflections apart from it",
     "adjoint", "both", True, True, "auto",
 )  # fmt: skip
 IMAGE_PATH = Way(
@@ -92,7 +92,7 @@ IMAGE_PATH = Way(
 )  # fmt: skip
 SEQUENTIAL = Way(
     "adjoint, sequential",
-    "the same without reflections, through exact surfaces in their order",
+    "the same without reflections, sequentially through exact surfaces",
     "adjoint", "transmit", True, True, "sequential",
 )  # fmt: skip
 WAYS = (ANALOG, SPLITTING, AIMING, RANDOM, SOBOL, PARTS)

@@ -65,7 +65,7 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     if not bodies:
         return ranks
     if len(bodies) > MOST_BODIES:
-        raise SceneError(f"{len(bodies)} targets are glass bodies; there can be {MOST_BODIES}")
+        raise SceneError(f"{len(bodies)} targets are glass bodies; the limit is {MOST_BODIES}")
     priority = {i: _priority(scene, i) for i in bodies}
     names = {i: named_target(scene, i) for i in bodies}
     meshes = {i: targets[i].mesh for i in bodies}
@@ -129,7 +129,7 @@ def _cut(
         )
     return SceneError(
         f"{names[one]} and {names[other]}: these glass bodies cut each other {where}, and both have priority = "
-        f"{priority[one]}; give the one that is to fill what they share the higher one, or move one"
+        f"{priority[one]}; give a higher one to the body that fills the overlap, or move one"
     )
 
 
@@ -232,9 +232,9 @@ def _refuse_wrong_shells(parts: Shells, names: dict[int, str]) -> None:
             if _turns(own, _beside(facet, JUST_BESIDE))[0] != 1 or _turns(own, _beside(facet, -JUST_BESIDE))[0] != 0:
                 x, y, z = facet[0].mean(axis=0)
                 raise SceneError(
-                    f"{names[i]}: there is not glass behind its surface and air before it near "
+                    f"{names[i]}: its surface does not have glass behind it and air in front of it near "
                     f"({x:.4g}, {y:.4g}, {z:.4g}) mm; its {len(own)} closed surfaces must not cut each other, outer "
-                    "ones must face outwards, those of hollows into them"
+                    "ones must face outwards, and surfaces of hollows into the hollow"
                 )
 
 
@@ -305,7 +305,7 @@ def _holders(
                 if (first == WHOLE) == (second == WHOLE):
                     raise SceneError(
                         f"{names[i]} and {names[j]}: these glass bodies overlap, neither inside the other, and both "
-                        f"have priority = {priority[i]}; give the one that is to fill what they share the higher one"
+                        f"have priority = {priority[i]}; give a higher one to the body that fills the overlap"
                     )
                 inner, outer = (i, j) if first == WHOLE else (j, i)
                 holders[inner].add(outer)
@@ -330,7 +330,7 @@ def _refuse_crowds(parts: Shells, names: dict[int, str], near: float) -> None:
         if most >= MOST_AT_ONCE:
             x, y, z = places[int(counts.argmax())]
             raise SceneError(
-                f"{names[i]} lies inside {most} other glass bodies near ({x:.4g}, {y:.4g}, {z:.4g}) mm; it can lie in "
+                f"{names[i]} lies inside {most} other glass bodies near ({x:.4g}, {y:.4g}, {z:.4g}) mm; the limit is "
                 f"{MOST_AT_ONCE - 1}"
             )
 
@@ -365,7 +365,7 @@ def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[
                 x, y, z = place
                 raise SceneError(
                     f"{named_target(scene, j)} lies on the glass of {named_target(scene, i)} near "
-                    f"({x:.4g}, {y:.4g}, {z:.4g}) mm, too closely for rays to tell which comes first: leave "
+                    f"({x:.4g}, {y:.4g}, {z:.4g}) mm, too close for rays to find the first surface: leave "
                     f"{plain(2.0 * near, 1)} mm or more between them, or let it reach as far into the glass"
                     + (", with another priority" if j in bodies else "")
                 )

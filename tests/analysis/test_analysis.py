@@ -219,7 +219,7 @@ def test_a_sheet_that_cannot_be_written_is_refused_before_the_lens_is_analysed(
     assert main(["lens", "sheet", scene, "-o", str(tmp_path / "none" / "sheet.html")]) != 0
     errors = capsys.readouterr().err
     assert "a lens sheet is one of .svg, .png, .pdf, .html" in errors
-    assert "there is no folder" in errors
+    assert "does not exist; create it" in errors
 
 
 @pytest.mark.parametrize(

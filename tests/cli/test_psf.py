@@ -58,7 +58,7 @@ def test_what_is_wrong_with_the_folder_is_said_before_the_waves_are_followed(
         (tmp_path / "file" / "out", "cannot be written: Not a directory"),
         # Its rights let the superuser write there, and still nothing can be made.
         (Path("/proc/none"), "cannot be written"),
-        (tmp_path, "spread.png is there already"),
+        (tmp_path, "spread.png already exists"),
     ):
         assert main(["psf", SCENE, "--point-mm", "0", "0", "-500", "-o", str(folder)]) == 2
         assert words in " ".join(capsys.readouterr().err.split())

@@ -114,7 +114,7 @@ def test_ctrl_c_while_the_program_starts_is_no_traceback() -> None:
 def test_one_signal_ends_a_render_whose_packets_have_no_end(
     number: signal.Signals, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the second replicate on no packet moves on; what is finished is kept."""
+    """From the second replicate on no packet moves on; finished work is kept."""
     usual, started = Stacks.take, Tally.restart
     stuck, until = threading.Event(), time.monotonic() + HANGS_S
 

@@ -76,11 +76,11 @@ def test_a_file_of_another_kind_is_named_with_what_takes_it(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("check {}", "/dev/zero: cannot be read: it is no regular file but a device"),
-        ("study {} -o out", "/dev/zero: cannot be read: it is no regular file but a device"),
+        ("check {}", "/dev/zero: cannot be read: it is not a regular file but a device"),
+        ("study {} -o out", "/dev/zero: cannot be read: it is not a regular file but a device"),
         (
             "fit scene.toml scene.toml -o out --corners {}",
-            "/dev/zero: the list of corners cannot be read: it is no regular file but a device",
+            "/dev/zero: the list of corners cannot be read: it is not a regular file but a device",
         ),
     ],
 )

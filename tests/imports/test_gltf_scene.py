@@ -405,7 +405,7 @@ def test_wrong_keys_and_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "a.stl").write_bytes(b"")
     if hasattr(os, "mkfifo"):
         os.mkfifo(tmp_path / "pipe.glb")
-        with pytest.raises(SceneError, match=r"targets\.file.*pipe\.glb is no regular file"):
+        with pytest.raises(SceneError, match=r"targets\.file.*pipe\.glb is not a regular file"):
             loads('targets = { file = "pipe.glb" }\n' + TOML, tmp_path)
     for keys, why in (
         ('targets = { file = "gone.glb" }', r"targets\.file = \"gone\.glb\".*no such file"),

@@ -157,7 +157,7 @@ def test_encodings_and_line_ends(tmp_path, encoding, ending):
         ("CLAP 0 6.25 0", "OBSC 0 2 0", "a central obscuration"),
         ("CLAP 0 6.25 0", "OBDC 0 2", "a decentred aperture"),
         ("DISZ 5\n", "DISZ five\n", "'five' is not a number"),
-        ("DISZ 5\n", "DISZ nan\n", "no finite number"),
+        ("DISZ 5\n", "DISZ nan\n", "is not finite"),
         ("DISZ 5\n", "DISZ\n", "it is cut short"),
         ("DISZ 5\n", "DISZ INFINITY\n", "only the object"),
         ("MODE SEQ", "MODE NSC", "only sequential files"),

@@ -171,7 +171,7 @@ def spoilt(folder: Path, how: str, camera: Callable[..., Scene], image_of: Calla
 @pytest.mark.parametrize(
     ("how", "fault"),
     [
-        ("incomplete", "no complete run: report.json missing"),
+        ("incomplete", "not a complete run: report.json missing"),
         ("truncated", "truncated"),
         ("foreign", "run format 99"),
         ("conventional", "conventional camera"),

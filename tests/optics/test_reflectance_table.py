@@ -80,7 +80,7 @@ def test_a_table_without_its_columns_is_refused(tmp_path):
 
 def test_a_file_that_is_no_text_is_refused(tmp_path):
     (tmp_path / "r.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FileError, match="is no UTF-8"):
+    with pytest.raises(FileError, match="is not UTF-8"):
         read_reflectance(tmp_path / "r.csv")
     with pytest.raises(FileError, match="cannot be read"):
         read_reflectance(tmp_path / "none.csv")

@@ -20,12 +20,12 @@ REFUSED = {
     "an integer of 4000 digits": (SCENE.replace("[4, 4]", f"[{'9' * 4000}, 4]"), "camera.mla.count[0] = an integer of"),
     "an integer of 9000 digits": (SCENE.replace("[4, 4]", f"[{'9' * 9000}, 4]"), "thousands of digits"),
     "a hexadecimal integer": (SCENE.replace("[4, 4]", f"[0x{'f' * 9000}, 4]"), "about 10837 digits"),
-    "nested lists": (SCENE.replace("[4, 4]", "[" * 5000 + "]" * 5000), "too deep"),
-    "nested tables": (SCENE.replace("[4, 4]", f"[{{ {'a.' * 3000}b = 1 }}, 4]"), "too deep"),
-    "a file name with NUL": (SCENE + TEXTURE.format('"a\\u0000b.png"'), "no NUL character"),
+    "nested lists": (SCENE.replace("[4, 4]", "[" * 5000 + "]" * 5000), "nested too deeply"),
+    "nested tables": (SCENE.replace("[4, 4]", f"[{{ {'a.' * 3000}b = 1 }}, 4]"), "nested too deeply"),
+    "a file name with NUL": (SCENE + TEXTURE.format('"a\\u0000b.png"'), "not contain a NUL character"),
     "a lens file's name with NUL": (
         re.sub(r"surfaces = \[.*?\n\]", 'file = "a\\\\u0000b.toml"', SCENE, flags=re.DOTALL),
-        "no NUL character",
+        "not contain a NUL character",
     ),
     "a file name of 300 characters": (SCENE + TEXTURE.format(f'"{"n" * 300}"'), "name too long"),
     "a lens file's name of 300 characters": (

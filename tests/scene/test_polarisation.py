@@ -100,11 +100,11 @@ def test_layers_are_welcome_and_so_is_what_no_surface_has():
 
 def test_the_mesh_engine_traces_polarised_light():
     few = {"transport.samples": 1, "transport.replicates": 2}
-    assert lf.render(scene().changed(few)).engine == "mesh: transport.polarisation is the mesh engine's"
+    assert lf.render(scene().changed(few)).engine == "mesh: transport.polarisation needs the mesh engine"
     assert lf.render(scene(polarisation=False).changed(few)).engine.startswith("both: ")
-    with pytest.raises(SceneError, match=r"transport\.polarisation is the mesh engine's"):
+    with pytest.raises(SceneError, match=r"transport\.polarisation needs the mesh engine"):
         lf.render(scene(transport={"engine": "sequential"}))
-    with pytest.raises(LfmeshError, match=r"transport\.polarisation is the mesh engine's"):
+    with pytest.raises(LfmeshError, match=r"transport\.polarisation needs the mesh engine"):
         lf.trace(lf.build(scene(), aimed=False), [0, 0, -9], [0, 0, 1], split="transmit", engine="sequential")
 
 

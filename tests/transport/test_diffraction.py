@@ -332,7 +332,7 @@ def test_round_apertures_widen_airy_disks() -> None:
 
 def test_the_sequential_engine_refuses_given_rays_that_diffract() -> None:
     world = lf.build(camera(across=3))
-    with pytest.raises(lf.LfmeshError, match="turns light packet by packet"):
+    with pytest.raises(lf.LfmeshError, match="deflects light packet by packet"):
         lf.trace(world, [[0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0]], engine="sequential", split="transmit")
 
 

@@ -331,7 +331,7 @@ def test_a_tree_of_reflections_without_an_end_is_refused_in_bounded_memory(world
     monkeypatch.setattr(trace_module, "Workspace", partial(Workspace, chunk=100))
     origins, directions = rays_into_the_lens(5)
     assert len(lf.trace(world, origins, directions, split="both", weight_cutoff=0.0, max_events=7)) < 1_000
-    with pytest.raises(lf.LfmeshError, match="end in more than 1,000 packets: give weight_cutoff a larger"):
+    with pytest.raises(lf.LfmeshError, match="end in more than 1,000 packets: raise weight_cutoff above"):
         lf.trace(world, origins, directions, split="both", weight_cutoff=0.0, max_events=64)
 
 

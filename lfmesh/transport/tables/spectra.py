@@ -109,5 +109,5 @@ def spread(scene: Scene, total: float, shape: Spectrum | None, lines: Lines, whe
     curve = curve_of(shape, lines.span_nm, scene, where)
     if not curve.integral(*lines.span_nm) > 0.0:
         first, last = lines.span_nm
-        raise SceneError(f"{where}: it has no power from {first:g} to {last:g} nm, to which the bands reach")
+        raise SceneError(f"{where}: it has no power from {first:g} to {last:g} nm, the range of the bands")
     return lines.power(total, curve)

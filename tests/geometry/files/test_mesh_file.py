@@ -308,9 +308,9 @@ def broken_files(folder):
     if hasattr(os, "mkfifo"):
         os.mkfifo(folder / "pipe.bin")
         document["buffers"][0]["uri"] = "pipe.bin"
-        yield write("pipe.gltf", json.dumps(document)), "no regular file"
+        yield write("pipe.gltf", json.dumps(document)), "is not a regular file"
         os.mkfifo(folder / "pipe.stl")
-        yield folder / "pipe.stl", "no regular file"
+        yield folder / "pipe.stl", "is not a regular file"
     document = json.loads(save_gltf(folder / "document.gltf").read_text())
     document["accessors"][0]["count"] = 10**15
     yield write("count.gltf", json.dumps(document)), "an accessor counts 1000000000000000 entries"

@@ -62,7 +62,7 @@ def test_a_part_in_metres_is_suspected(tmp_path: Path) -> None:
     assert placed(part, tmp_path).warnings == ()
     large = placed(part | {"units": "m"}, tmp_path)
     assert "40 m wide with units = 'm'" in large.warnings[0]
-    assert "round the camera" in large.warnings[1]
+    assert "encloses the camera" in large.warnings[1]
     small = placed(part | {"units": "um"}, tmp_path)
     assert "less than a sample" in small.warnings[0]
 
@@ -86,7 +86,11 @@ TUBE = {"kind": "line", "start_mm": [0.0, 0.0, -1000.0], "end_mm": [0.0, 40.0, -
     ("target", "lights", "words"),
     [
         ({"position_mm": [0.0, 0.0, 400.0]}, None, "behind the sensor"),
-        ({"shape": {"kind": "sphere", "radius_mm": 200.0}, "position_mm": [0.0, 0.0, -50.0]}, None, "round the camera"),
+        (
+            {"shape": {"kind": "sphere", "radius_mm": 200.0}, "position_mm": [0.0, 0.0, -50.0]},
+            None,
+            "encloses the camera",
+        ),
         ({"rotation_deg": [0.0, 180.0, 0.0], "material": {"sides": "front"}}, None, "black side"),
         ({"position_mm": [0.0, 0.0, -40.0]}, None, "lit by no lamp"),
         ({"material": {"reflectance": 0.0}}, None, "its reflectance is 0"),

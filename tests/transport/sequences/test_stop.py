@@ -178,8 +178,8 @@ def test_light_that_turns_past_a_rim_at_the_stop_is_in_the_picture(rim: str) -> 
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"transport.split": "both"}, "along the image path alone"),
-        ({"transport.engine": "mesh"}, "along the image path alone"),
+        ({"transport.split": "both"}, "along the image path only"),
+        ({"transport.engine": "mesh"}, "along the image path only"),
         ({"transport.diffraction": "lenslets"}, 'without an array give "stop"'),
     ],
 )
@@ -189,7 +189,7 @@ def test_what_is_not_followed_is_refused(changed: dict[str, Any], words: str) ->
 
 
 def test_surfaces_that_are_not_exact_are_refused() -> None:
-    with pytest.raises(lf.LfmeshError, match="follows exact surfaces in their order"):
+    with pytest.raises(lf.LfmeshError, match="needs sequential tracing of exact surfaces"):
         lf.render(edge("on a surface", samples=32).changed({"transport.surface": "flat"}))
 
 

@@ -137,9 +137,9 @@ def test_a_run_that_is_complete_says_so_and_stays_as_it_is(folder: Path, capsys:
         (["scene.toml", "--resume", "run"], "leave out a scene"),
         (["--resume", "run", "-o", "other"], "leave out --out"),
         (["--resume", "run", "--samples", "64", "--seed", "3"], "leave out --samples, --seed"),
-        (["--resume", "none"], "none is no run folder"),
+        (["--resume", "none"], "none is not a run folder"),
         (["--resume", "scene.toml"], "it is a file"),
-        (["--resume", "empty"], "empty has no checkpoint to go on from"),
+        (["--resume", "empty"], "empty has no checkpoint to continue from"),
         (["scene.toml"], "render needs --out"),
         (["-o", "run"], "render needs a scene file"),
     ],
@@ -270,7 +270,7 @@ def test_what_reads_a_run_that_was_killed_says_that_it_can_go_on(
         (cut_short / name).unlink()
     capsys.readouterr()
     assert main(["decode", "run"]) == 2
-    assert "lfmesh render --resume run goes on with it" in capsys.readouterr().err
+    assert "lfmesh render --resume run continues it" in capsys.readouterr().err
     (cut_short / CHECKPOINT).unlink()
     assert main(["decode", "run"]) == 2
     assert "render it again" in capsys.readouterr().err
@@ -327,6 +327,6 @@ def test_a_full_disk_does_not_end_a_render(
     monkeypatch.setattr(checkpoint, "write_sealed", full)
     assert main(["render", "scene.toml", "-o", "run"]) == 0
     said = " ".join(capsys.readouterr().err.split())
-    assert "Note: run/lfmesh-checkpoint.npz cannot be written: No space left on device; the render goes on" in said
+    assert "Note: run/lfmesh-checkpoint.npz cannot be written: No space left on device; the render continues" in said
     assert not [path for path in (folder / "run").iterdir() if path.name.startswith(STAGING)]
     assert run.open_run(folder / "run").complete

@@ -373,11 +373,11 @@ def test_saving_copies_a_large_film_few_times(image_of: Build, tmp_path: Path) -
 
 def test_an_image_is_shown_in_one_short_line(image_of: Build) -> None:
     shown = repr(image_of())
-    assert shown.startswith("<Image: 80 × 60 pixels, 1 wavelength, 8 of 8 replicates, 64 samples a pixel, ")
+    assert shown.startswith("<Image: 80 × 60 pixels, 1 wavelength, 8 of 8 replicates, 64 samples per pixel, ")
     assert len(shown) < 150
 
 
 @pytest.mark.parametrize(("name", "why"), [("nowhere", "it does not exist"), ("x" * 300, "File name too long")])
 def test_a_name_that_no_folder_has_or_can_have_is_refused(name: str, why: str, tmp_path: Path) -> None:
-    with pytest.raises(FileError, match=f"is no run folder: {why}"):
+    with pytest.raises(FileError, match=f"is not a run folder: {why}"):
         run.open_run(tmp_path / name)

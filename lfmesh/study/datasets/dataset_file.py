@@ -43,7 +43,7 @@ class Draw(Model):
         """Yield the faults of the draw."""
         given = [way for way in WAYS if getattr(self, way) is not None]
         if len(given) != 1:
-            what = f"{' and '.join(given)} are given" if given else "says nothing to draw from"
+            what = f"{' and '.join(given)} are given" if given else "nothing to draw from is given"
             yield Fault((), None, f"{what}: give one of {', '.join(WAYS)}")
             return
         for way in ("uniform", "log_uniform"):
@@ -55,7 +55,7 @@ class Draw(Model):
         if self.values is not None and not self.values:
             yield Fault(("values",), [], "must not be empty")
         if self.relative and (self.files is not None or not all(map(is_number, self.values or ()))):
-            yield Fault(("relative",), True, "only numbers can be added to what the template has")
+            yield Fault(("relative",), True, "only numbers can be added to the template's value")
 
     def candidates(self, folder: Path) -> tuple[Any, ...]:
         """Return the candidates: values, or the existing files sorted by name; () for a distribution.

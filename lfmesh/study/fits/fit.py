@@ -237,7 +237,7 @@ class _Search:
         self._simulate(1)
         derivative = self.model.derivative(self.steps)
         split = self._fit(derivative)
-        self.say("simulating what chief rays do not show")
+        self.say("simulating effects beyond chief rays")
         self.seen = self.model.beside_slopes(self.steps, derivative[self._used(derivative)])
         self.slopes = smooth(self.seen)
         # The first image was simulated before the camera was known well.

@@ -155,8 +155,8 @@ METRICS: Mapping[str, Metric] = {
         depth,
         needs_mla=True,
         unseen=(
-            "no part of the reference's picture has texture enough to tell depth, or half of it or more has no known "
-            "depth here"
+            "no part of the reference's picture has enough texture to estimate depth, or at least half of it has no "
+            "known depth here"
         ),
     ),
     "crosstalk": Metric(

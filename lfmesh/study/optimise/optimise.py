@@ -351,7 +351,7 @@ def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
     ]
     if search.beyond_reach and problem.violation(search.best):
         notes += [
-            f"{goal.title}: a search for nothing but limits found none that keeps {goal.in_words}; the nearest has "
+            f"{goal.title}: a search for the limits alone found no camera that keeps {goal.in_words}; the nearest has "
             f"{shown_value(goal.metric, search.best.figures[goal].value):.6g}"
             for goal in problem.design.constraints
             if excess_of(goal, search.best.figures[goal]).value.max() > KEPT
@@ -362,8 +362,8 @@ def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
         if rays.stopped:
             named = "" if problem.design.rays.height_mm is None else f" = {problem.design.rays.height_mm:g}"
             notes.append(
-                f"height_mm{named} in [rays]: the camera to begin with stops most rays, and terms are of those that "
-                f"pass: {rays.stopped}; give a smaller height_mm"
+                f"height_mm{named} in [rays]: the starting camera stops most rays, and the terms use only the rays "
+                f"that pass: {rays.stopped}; give a smaller height_mm"
             )
         notes.append(
             f"the search follows the {rays.passed} rays that pass the starting lens, equally weighted, and does not "
@@ -380,8 +380,8 @@ def _not_searched(problem: Problem, search: Search) -> Iterator[str]:
         searched, lost = ({picks[number] for picks in seen} for seen in (search.searched, search.lost))
         for pick in sorted(lost - searched):
             yield (
-                f"{choice.variable.path} = {literal(choice.values[pick])} was not searched: where searches began, the "
-                "camera with it is not valid, or rays have no path in it"
+                f"{choice.variable.path} = {literal(choice.values[pick])} was not searched: at the starting points, "
+                "the camera with it is not valid, or rays have no path in it"
             )
 
 
@@ -397,8 +397,8 @@ def _differences(problem: Problem, best: Rated) -> Iterator[str]:
         if not abs(value - searched) <= max(UNLIKE * max(abs(value), abs(searched)), NOTHING):
             other = "not known" if np.isnan(value) else f"{value:.4g}"
             yield (
-                f"{goal.title} is {searched:.4g} by the rays of the search, but {other} by twice as many across, "
-                "of those that pass the best camera: raise across in [rays], or look at its clear apertures"
+                f"{goal.title} is {searched:.4g} by the rays of the search, but {other} by twice as many across that "
+                "pass the best camera: raise across in [rays], or check its clear apertures"
             )
 
 

@@ -213,14 +213,14 @@ def test_a_dry_run_lists_and_writes_nothing(folder: Path, capsys: pytest.Capture
 @pytest.mark.parametrize(
     ("draw", "message"),
     [
-        ({"path": DEPTH}, "says nothing to draw from"),
+        ({"path": DEPTH}, "nothing to draw from is given"),
         ({"path": DEPTH, "uniform": (2.0, 1.0)}, "is empty"),
         ({"path": DEPTH, "uniform": (1.0, 2.0), "values": [1.0]}, "values and uniform are given"),
         ({"path": DEPTH, "normal": (1.0, 0.0)}, "must be above 0"),
         ({"path": "targets[1].position_mm[2]", "uniform": (1.0, 2.0)}, "there is no [1]"),
         ({"path": TEXTURE, "files": "*.nothing"}, "there is no such file"),
         ({"path": TEXTURE, "files": "*.png", "relative": True}, "only numbers"),
-        ({"path": "name", "uniform": (0.0, 1.0), "relative": True}, "no number to add to"),
+        ({"path": "name", "uniform": (0.0, 1.0), "relative": True}, "not a number to add to"),
         ({"path": "targets[0].material.reflectance", "uniform": (2.0, 3.0)}, "item 0"),
         ({"path": "camera.mla.pitch_mm", "values": [-1.0]}, "item 1"),
     ],

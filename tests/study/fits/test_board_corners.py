@@ -95,7 +95,7 @@ def test_a_board_of_known_size_may_lack_few_of_its_corners() -> None:
     for corner in whole.sample[np.argsort(whole.board_mm[:, 0])[: (int(rows) + 1) // 2]]:
         s, t = np.rint(corner).astype(int)
         hidden[0, 0, t - 2 : t + 3, max(s - 2, 0) : s + 3] = False
-    with pytest.raises(lf.LfmeshError, match="but for few of the outer ones"):
+    with pytest.raises(lf.LfmeshError, match="all except a few of the outer ones"):
         find_corners(picture[None, None], hidden, 1.0, int(columns), int(rows))
 
 

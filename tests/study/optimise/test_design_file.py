@@ -40,16 +40,16 @@ REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
     ),
     "mistyped path": ({"variables": [{**VARIABLE, "path": "camera.lens.surfaces[0].radius"}]}, ["radius_mm"]),
     "range reversed": ({"variables": [{**VARIABLE, "range": [90.0, 20.0]}]}, ["range = [90.0, 20.0]", "reversed"]),
-    "range of a radius with 0": ({"variables": [{**VARIABLE, "range": [0.0, 90.0]}]}, ["a radius is not 0"]),
+    "range of a radius with 0": ({"variables": [{**VARIABLE, "range": [0.0, 90.0]}]}, ["a radius cannot be 0"]),
     "start outside of the range": (
         {"variables": [{**VARIABLE, "range": [50.0, 90.0]}]}, ["range = [50, 90]", "is 40 in the scene, outside"],
     ),
     "neither range nor values": ({"variables": [{"path": RADIUS}]}, ["variables[0]", "neither range and values"]),
-    "one value": ({"variables": [{"path": RADIUS, "values": [40.0]}]}, ["two values at least"]),
+    "one value": ({"variables": [{"path": RADIUS, "values": [40.0]}]}, ["at least two values"]),
     "start not among the values": (
         {"variables": [{"path": RADIUS, "values": [41.0, 42.0]}]}, ["is 40.0 in the scene, which is not among"],
     ),
-    "no number": ({"variables": [{"path": "camera.lens.surfaces[0].coating", "range": [0.0, 1.0]}]}, ["no number"]),
+    "no number": ({"variables": [{"path": "camera.lens.surfaces[0].coating", "range": [0.0, 1.0]}]}, ["not a number"]),
     "left to be solved": (
         {"variables": [{"path": "camera.sensor.distance_mm", "range": [50.0, 80.0]}]}, ["not given", "solved"],
     ),

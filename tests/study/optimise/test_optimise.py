@@ -145,7 +145,7 @@ def test_a_search_ends_early_where_limits_exclude_each_other_and_names_the_neare
     )  # fmt: skip
     # Least squares of (t − 4)/4 and (10 − t)/75.
     nearest = (4.0 / 4.0**2 + 10.0 / 75.0**2) / (1.0 / 4.0**2 + 1.0 / 75.0**2)
-    told = [note for note in found.notes if "a search for nothing but limits" in note]
+    told = [note for note in found.notes if "a search for the limits alone" in note]
     assert max(each.share_after for each in found.constraints) <= (10.0 - nearest) / 75.0 * (1.0 + 1e-6)
     assert len(told) == 2
     assert "at most 4; the nearest has" in told[0]

@@ -107,7 +107,7 @@ def test_refocus_that_refocuses_nothing_is_refused() -> None:
 
 
 def test_a_limit_of_metrics_without_columns_to_limit_says_so() -> None:
-    with pytest.raises(lf.LfmeshError, match=r"no column that can be limited; metrics = \['efficiency'\] have none"):
+    with pytest.raises(lf.LfmeshError, match=r"not a column that can be limited; metrics = \['efficiency'\] have none"):
         shifted(metrics=("efficiency",), limits={"psnr_db": 30.0})
 
 

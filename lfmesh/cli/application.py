@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.filename is None:
             _give_up_output()
-        where = "what is printed" if error.filename is None else str(error.filename)
+        where = "standard output" if error.filename is None else str(error.filename)
         return _complain(f"{where}: cannot be written or read: {error.strerror or error}")
 
 

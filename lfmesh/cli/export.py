@@ -42,7 +42,7 @@ def export(
 ) -> int:
     """Convert a run for other tools: a folder with their files, and export.json, which explains them."""
     if depth is not None and kind not in ("hci", "exr-rgb"):
-        raise LfmeshError(f"--depth {depth}: {kind} holds no depth; leave it out, or take --format hci or exr-rgb")
+        raise LfmeshError(f"--depth {depth}: {kind} cannot hold depth; omit it, or use --format hci or exr-rgb")
     with defer_interrupt():
         from lfmesh.files import exr
         from lfmesh.files.exports.export import export_field

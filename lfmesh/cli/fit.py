@@ -158,7 +158,7 @@ def _estimate(each: "Estimate") -> str:
 
     error = "kept, not determined" if each.kept else f"± {plain(each.standard_error, 2)}"
     if each.together and not each.kept:
-        error += ", if what is kept is right"
+        error += ", if the kept values are right"
     return f"{each.parameter.name:<22}{each.value:>12.6g} {each.parameter.unit:<4}{error}"
 
 

@@ -96,7 +96,7 @@ def refocus(
     if all_in_focus and stack is None:
         raise LfmeshError("--all-in-focus needs --stack FIRST:LAST:STEP, whose planes it combines; give both")
     if method == "patches" and f_number is not None:
-        raise LfmeshError(f"--f-number {f_number:g}: patches use all views; leave it out, or take --method shift")
+        raise LfmeshError(f"--f-number {f_number:g}: patches use all views; omit it, or use --method shift")
     planes = _planes(stack) if stack is not None else []
     with defer_interrupt():
         from lfmesh.files import photographs as files

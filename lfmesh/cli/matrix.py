@@ -98,10 +98,10 @@ def _print_resolution(out: Path) -> None:
     from lfmesh.scene.memory import fits_into_memory
 
     if not fits_into_memory(COPIES * out.stat().st_size):
-        print(wrapped("too large for this machine's memory to find what the camera resolves"))
+        print(wrapped("too large for this machine's memory: the resolution was not computed"))
         return
     with status() as report:
-        report("finding what the camera resolves")
+        report("computing the resolution")
         message = resolution_message(open_projection_matrix(out))
     print(wrapped(message), flush=True)
 

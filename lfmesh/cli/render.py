@@ -111,7 +111,7 @@ def render(
     resume: Annotated[
         Path | None, Parameter(help="Continue the interrupted or killed render in this run folder.")
     ] = None,
-    restart: Annotated[bool, Parameter(help="Discard an interrupted render in --out and begin anew.")] = False,
+    restart: Annotated[bool, Parameter(help="Discard an interrupted render in --out and start again.")] = False,
     with_white: Annotated[
         bool, Parameter(name="--white", help="Also render the white image for decoding, as lfmesh white does.")
     ] = False,
@@ -226,7 +226,7 @@ def _render(
     refuse_claimed(folder)
     if run.has_checkpoint(folder) and not restart:
         raise FileError(
-            f"{folder} holds an interrupted render: continue it with lfmesh render --resume {folder}, or begin anew "
+            f"{folder} holds an interrupted render: continue it with lfmesh render --resume {folder}, or start again "
             "with --restart"
         )
     if with_white:
@@ -368,7 +368,7 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
     if run.scene_is_edited(folder):
         say_note(
             f"{folder / run.SCENE} was edited since it was rendered; the white image is of the camera of {run.RAW}, "
-            "which it is to divide"
+            "so that it can divide it"
         )
     calibration = calibrate(scene)
     with progress() as report:
@@ -382,7 +382,7 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
     )
     try:
         error = estimate_centres(image).error_px(calibration)
-        print(f"Found on the white image alone, they are {error.mean():.3g} pixels off on average.")
+        print(f"Found from the white image alone, they are {error.mean():.3g} pixels off on average.")
     except LfmeshError as fault:
         say_note(fault)
     list_files([folder / name for name in (run.WHITE, run.WHITE_PREVIEW, run.CALIBRATION)])
@@ -392,9 +392,9 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
 def _whereabouts(image: "Image", folder: Path) -> str:
     from lfmesh.files import run
 
-    pictures = [(run.PREVIEW, "the raw image, upright"), (run.RAW, "power and standard error, W a pixel")]
+    pictures = [(run.PREVIEW, "the raw image, upright"), (run.RAW, "power and standard error, W per pixel")]
     if image.scene.camera.mla is not None:
-        pictures.insert(0, (run.VIEW, "the picture that the camera saw"))
-    pictures.append((run.REPORT, "all the numbers"))
+        pictures.insert(0, (run.VIEW, "the scene as the camera sees it"))
+    pictures.append((run.REPORT, "all figures of the run"))
     width = max(len(str(folder / name)) for name, _ in pictures)
     return "\n".join(f"  {folder / name!s:<{width}}  {what}" for name, what in pictures)

@@ -25,7 +25,7 @@ More examples:
 
     lfmesh study study.toml --dry-run
     lfmesh study study.toml -o out/
-    lfmesh study study.toml -o out/          again: go on where it stopped
+    lfmesh study study.toml -o out/          again: continues where it stopped
     lfmesh study study.toml -o a/ --shard 1/3
     lfmesh study merge study.toml a/ b/ c/ -o out/
     lfmesh study study.toml -o out/ --dask tcp://10.0.0.1:8786
@@ -153,7 +153,7 @@ def progress_in_words(now: "Progress", things: str = "units", failing: str = "po
 
     words = f"{now.done} of {now.total} {things}"
     if now.new and now.seconds:
-        words += f", {60.0 * now.new / now.seconds:.3g} a minute"
+        words += f", {60.0 * now.new / now.seconds:.3g} per minute"
     if now.seconds_left is not None:
         words += f", {duration(now.seconds_left)} left"
     if now.failed:

@@ -111,4 +111,4 @@ def read(folder: Path, scene_from: Callable[[dict[str, Any], Path], Scene]) -> C
         why = str(error)
     except (ValueError, KeyError, TypeError):
         why = f"{folder / CHECKPOINT} is damaged"
-    raise FileError(f"{why}; begin anew with lfmesh render --restart, or delete {folder / CHECKPOINT}")
+    raise FileError(f"{why}; start again with lfmesh render --restart, or delete {folder / CHECKPOINT}")

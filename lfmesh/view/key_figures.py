@@ -17,7 +17,7 @@ from lfmesh.lightfield.photographs.depth_truth import DepthTruth
 from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Photograph
 from lfmesh.lightfield.views.field import LightField
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.scene.literals import percent
+from lfmesh.scene.literals import counted, percent
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import Status
 from lfmesh.transport.render.image import Image
@@ -202,7 +202,7 @@ def _(world: World) -> Rows:
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(world.scene.targets)]
     return [
         ("scene", world.scene.name or "unnamed"),
-        ("lens", f"{len(world.lens_shape.elements)} elements, f = {world.facts.efl_mm:.4g} mm"),
+        ("lens", f"{counted(len(world.lens_shape.elements), 'element')}, f = {world.facts.efl_mm:.4g} mm"),
         ("array", "none" if mla is None else f"{mla.count[0]} × {mla.count[1]} lenslets"),
         ("sensor", "{} × {} pixels".format(*world.scene.camera.sensor.pixels)),
         ("targets", ", ".join(targets) or "none"),

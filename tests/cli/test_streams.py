@@ -39,7 +39,7 @@ def folder(tmp_path: Path) -> Path:
 def test_output_that_cannot_be_written_is_said_in_one_line(folder: Path) -> None:
     done = shell(folder, "$LFMESH schema > /dev/full")
     assert done.returncode == 2
-    assert done.stderr.startswith("lfmesh: what is printed: cannot be written")
+    assert done.stderr.startswith("lfmesh: standard output: cannot be written")
     assert done.stderr.count("\n") == 1
 
 

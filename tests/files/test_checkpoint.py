@@ -178,7 +178,7 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(cut_short: Path, capsys: py
         place = contents.index(arrays["first.means.0.mean"].tobytes())
     for damaged in (contents[: len(contents) // 2], b"", b"text", contents[:place] + b"\0\1" + contents[place + 2 :]):
         path.write_bytes(damaged)
-        assert "is damaged; begin anew with" in refusal(capsys)
+        assert "is damaged; start again with" in refusal(capsys)
     path.write_bytes(contents)
     assert main(["render", "--resume", "run"]) == 0
 
@@ -250,7 +250,7 @@ def test_a_render_that_was_cut_short_begins_anew_only_where_that_is_asked_for(
     capsys.readouterr()
     assert main(["render", "scene.toml", "-o", "run", "--seed", "5"]) == 2
     said = capsys.readouterr().err
-    assert "continue it with lfmesh render --resume run, or begin anew with --restart" in said
+    assert "continue it with lfmesh render --resume run, or start again with --restart" in said
     assert said.count("\n") == 1
     assert main(["render", "--resume", "run"]) == 0
     assert lf.open_run("run").scene.transport.seed == 0

@@ -65,7 +65,7 @@ def pixel_in_words(view: View, picked: pick.PickedPixel) -> list[str]:
     if view.lines is not None:
         rays = view.lines.rays
         on = (rays.pixel == [picked.row, picked.column]).all(axis=1)
-        words.append(f"{int(on.sum())} paths of the rays shown end here, {rays.end_power[on].sum():.3e} {rays.unit}")
+        words.append(f"paths shown that end here: {int(on.sum())}, {rays.end_power[on].sum():.3e} {rays.unit}")
     return [*words, f'its own rays:   --rays "pixel {picked.row},{picked.column}"']
 
 

@@ -361,7 +361,7 @@ def test_the_command_exports_a_run(tmp_path: Path, capsys: pytest.CaptureFixture
     assert (tmp_path / "eslf" / "lightfield.eslf.png").is_file()
     for words, fault in (
         (["--format", "plenopticam"], "has no white.exr; make it with lfmesh white"),
-        (["--format", "eslf", "--depth", "d.exr"], "holds no depth"),
+        (["--format", "eslf", "--depth", "d.exr"], "cannot hold depth"),
         (["--format", "hci", "--depth", str(tmp_path / "d.exr")], "does not exist"),
         (["--format", "hci", "--depth", str(tmp_path / "light.exr")], "has no channel truth or Z"),
         (["--format", "tiff"], "tiff"),

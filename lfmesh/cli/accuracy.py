@@ -39,7 +39,7 @@ def accuracy(
     """
     if hard:
         if scene is not None or output is not None or quick:
-            raise LfmeshError("--hard takes no scene, --out or --quick, because its cases are fixed; leave them out")
+            raise LfmeshError("--hard takes no scene, --out or --quick, because its cases are fixed; omit them")
         return _hard_cases()
 
     from lfmesh.scene import load

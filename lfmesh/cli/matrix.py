@@ -112,7 +112,7 @@ def _box(given: Voxels) -> "VoxelBox":
 
     if given.grid is not None:
         if given.counts is not None or given.size_mm is not None:
-            raise LfmeshError(f"--grid {given.grid} has its own counts and size: leave out --counts and --size-mm")
+            raise LfmeshError(f"--grid {given.grid} has its own counts and size: omit --counts and --size-mm")
         return VoxelBox.of(read_box(given.grid), given.position_mm, given.rotation_deg)
     if given.counts is None or given.size_mm is None:
         raise LfmeshError("no voxels given: give --grid with a file, or --counts and --size-mm of a box")

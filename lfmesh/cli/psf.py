@@ -52,7 +52,7 @@ def psf(
         from lfmesh.waves.point_spread import TOLERANCE, point_spread
     loaded = load(scene)
     if band is not None and wavelengths_nm is not None:
-        raise LfmeshError(f"--band {band}: leave --wavelengths-nm out, or the band")
+        raise LfmeshError(f"--band {band}: omit --wavelengths-nm, or the band")
     if band is not None and band not in loaded.channel_names:
         known = (
             f"must be one of {', '.join(loaded.channel_names)}" if loaded.channel_names else "the scene has no bands"

@@ -136,7 +136,7 @@ def render(
     if len(given := [name for name, value in ways.items() if value is not None]) > 1:
         raise LfmeshError(f"{' and '.join(given)} cannot be combined: give one of them")
     if restart and given and dask is None:
-        raise LfmeshError(f"--restart cannot be combined with {given[0]}: leave it out")
+        raise LfmeshError(f"--restart cannot be combined with {given[0]}: omit it")
     if merge is not None:
         code = _merged(merge, scene, out, overrides, with_white=with_white, verbose=verbose)
         return _white(out, None) if with_white and out is not None and code == 0 else code
@@ -192,7 +192,7 @@ def _merged(
         *(as_option(name) for name in (overrides.given() if overrides else {})),
     ]
     if beside:
-        raise LfmeshError(f"--merge takes scene and settings from the shares: leave out {', '.join(beside)}")
+        raise LfmeshError(f"--merge takes scene and settings from the shares: omit {', '.join(beside)}")
     if out is None:
         raise LfmeshError("--merge needs --out, the run folder to write: lfmesh render --merge a/ b/ -o run/")
     with defer_interrupt():
@@ -262,7 +262,7 @@ def _resume(
     threads = Overrides(threads=given.pop("threads", None))
     beside = [*(["a scene"] if scene else []), *(["--out"] if out else []), *(as_option(name) for name in given)]
     if beside:
-        raise LfmeshError(f"--resume takes scene and settings from the run: leave out {', '.join(beside)}")
+        raise LfmeshError(f"--resume takes scene and settings from the run: omit {', '.join(beside)}")
     with defer_interrupt():
         from lfmesh.files import checkpoint, image_file, run
         from lfmesh.files.claims import refuse_claimed

@@ -343,7 +343,8 @@ def test_a_process_says_it_the_same_way(folder: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("share", "reason"), [("3/2", "there is no share 3 of 2"), ("0/2", "give the number"), ("2", "give the number")]
+    ("share", "reason"),
+    [("3/2", "there is no share 3 of 2"), ("0/2", "give the share's number"), ("2", "give the share's number")],
 )
 def test_a_share_that_there_is_not_is_refused(
     folder: Path, capsys: pytest.CaptureFixture[str], share: str, reason: str

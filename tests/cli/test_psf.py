@@ -95,6 +95,6 @@ def test_ctrl_c_leaves_all_files_or_none(
 def test_a_band_is_taken_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     point = ["psf", SCENE, "--point-mm", "0", "0", "-500", "-o", str(tmp_path), "--band", "red"]
     assert main([*point, "--wavelengths-nm", "500"]) == 2
-    assert "leave --wavelengths-nm out" in " ".join(capsys.readouterr().err.split())
+    assert "omit --wavelengths-nm" in " ".join(capsys.readouterr().err.split())
     assert main(point) == 2
     assert "--band red: the scene has no bands" in " ".join(capsys.readouterr().err.split())

@@ -158,7 +158,7 @@ def band_faults(bands: tuple[Band, ...] | str) -> Iterator[Fault]:
     if isinstance(bands, str):
         return
     if not bands:
-        yield Fault(("bands",), None, 'must not be empty: give a band, "rgb" or "xyz", or leave it out')
+        yield Fault(("bands",), None, 'must not be empty: give a band, "rgb" or "xyz", or omit it')
     if len(bands) > MOST_BANDS:
         yield Fault(("bands",), None, f"{len(bands)} bands are given; a sensor has at most {MOST_BANDS}")
     names = [band.name for band in bands]

@@ -105,7 +105,7 @@ def test_a_board_of_known_size_may_lack_few_of_its_corners() -> None:
         (np.ones((1, 1, 20, 20)), (None, None), "0 corners of a checkerboard"),
         (np.full((1, 1, 20, 20), np.nan), (None, None), "no sample that the lens fully lights"),
         (np.random.default_rng(3).normal(size=(1, 1, 24, 24)), (None, None), "corners"),
-        ((28, turned(5.0, 4.6, (13.5, 13.5))), (9, 8), "columns = 9, rows = 8.*all must be in view"),
+        ((28, turned(5.0, 4.6, (13.5, 13.5))), (9, 8), "columns = 9, rows = 8.*outer ones must be in view"),
         ((40, turned(5.0, 2.1, (20.0, 20.0))), (None, None), "corners|squares"),
     ],
 )

@@ -344,8 +344,8 @@ def test_a_search_goes_on_past_neighbours_that_are_not_known(monkeypatch: pytest
 
 def test_a_search_that_ends_where_no_derivative_is_known_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     found = found_with(lambda shift: shift == 0.1 or abs(shift) > 0.15, monkeypatch)
-    (note,) = (note for note in found.notes if "not known" in note)
-    assert note.startswith("a search ended at a camera around which chief_rays_x_px is not known")
+    (note,) = (note for note in found.notes if "is unknown" in note)
+    assert note.startswith("a search ended at a camera around which chief_rays_x_px is unknown")
 
 
 def test_a_figure_of_pictures_that_is_not_known_at_first_is_refused_with_its_reason() -> None:

@@ -134,9 +134,9 @@ def test_a_run_that_is_complete_says_so_and_stays_as_it_is(folder: Path, capsys:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["scene.toml", "--resume", "run"], "leave out a scene"),
+        (["scene.toml", "--resume", "run"], "omit a scene"),
         (["--resume", "run", "-o", "other"], "omit --out"),
-        (["--resume", "run", "--samples", "64", "--seed", "3"], "leave out --samples, --seed"),
+        (["--resume", "run", "--samples", "64", "--seed", "3"], "omit --samples, --seed"),
         (["--resume", "none"], "none is not a run folder"),
         (["--resume", "scene.toml"], "it is a file"),
         (["--resume", "empty"], "empty has no checkpoint to continue from"),

@@ -75,7 +75,7 @@ class Overrides:
     ] = None
     surface: Annotated[
         Literal["exact", "flat", "smooth", "patch"] | None,
-        Parameter(help="How facets of a lens are traced: exact surface, flat, smooth normals, or curved patch."),
+        Parameter(help="Tracing of the lens's facets: exact surface, flat, smooth normals, or curved patch."),
     ] = None
     split: Annotated[
         Literal["both", "roulette", "transmit"] | None,

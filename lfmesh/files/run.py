@@ -48,7 +48,7 @@ from lfmesh.scene.inputs import COPIES
 from lfmesh.scene.literals import shown_path
 from lfmesh.transport.render.image import Image
 
-WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of what the camera saw"}
+WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of the scene"}
 """Faults of runs in older formats, and of files derived from them, by format."""
 
 RAW, REPORT, SCENE = "raw.exr", "report.json", "scene.toml"

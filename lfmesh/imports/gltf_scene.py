@@ -68,7 +68,7 @@ class GltfScene:
         for node in self.nodes:
             parts = primitives_of(self.path, self.document, node)
             for what in not_read(self.path, self.document, node):
-                self._enter(node.place, Verdict.APPROXIMATED, f"{what}, which has no facets; left out")
+                self._enter(node.place, Verdict.APPROXIMATED, f"{what} and has no facets; left out")
             if not parts:
                 continue
             facets += sum(self._facets(*part) for part in parts)

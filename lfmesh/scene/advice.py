@@ -148,8 +148,8 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 def _beyond_infinity(facts: "FirstOrder", plane: str) -> Iterator[str]:
     """Warn that the array or sensor lies at no real image, and report the distances that are still sharp."""
-    sharp = "is sharp" if facts.microlens_f_number is None or facts.focused else "can be refocused"
-    reach = f"what {sharp}: {reach_in_words(facts.near_mm, facts.far_mm)}"
+    sharp = "sharp range" if facts.microlens_f_number is None or facts.focused else "refocus range"
+    reach = f"{sharp}: {reach_in_words(facts.near_mm, facts.far_mm)}"
     if math.isinf(facts.efl_mm):
         yield f"the lens is afocal: only converging light has its image on the {plane}; {reach}"
         return
@@ -178,8 +178,7 @@ def _refocus_lenslets(scene: Scene, facts: "FirstOrder", focus_mm: float) -> str
     behind = lens.image_mm(focus_mm) + middle.main_image_mm - (facts.lenslets_z_mm or 0.0) + lens.length_mm
     distance = (camera.mla.distance_mm if camera.mla is not None and camera.mla.distance_mm else 0.0) + behind
     found = (
-        f"focus_mm = {camera.focus_mm:g}, but the lenslets image what is in focus at "
-        f"{length_in_words(facts.object_distance_mm)}"
+        f"focus_mm = {camera.focus_mm:g}, but the lenslets are focused on {length_in_words(facts.object_distance_mm)}"
     )
     if camera.focus_from == "first_vertex" and 0.0 < distance < math.inf:
         return f"{found}; give mla.distance_mm = {distance:.6g}"

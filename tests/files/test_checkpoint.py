@@ -200,7 +200,7 @@ def test_a_state_that_does_not_fit_its_scene_is_refused_in_one_line(
     facts, arrays = read_sealed(cut_short / CHECKPOINT, checkpoint.FORMAT)
     with (cut_short / CHECKPOINT).open("wb") as file:
         write_sealed(file, checkpoint.FORMAT, facts, arrays | {"first.means.0.mean": np.zeros((3, 3, 1))})
-    assert "is not that of this scene's render: first.means.0.mean has another size" in refusal(capsys)
+    assert "saved state belongs to another render: first.means.0.mean has another size" in refusal(capsys)
 
 
 def test_a_file_that_changed_or_went_since_is_named_in_one_line(

@@ -227,7 +227,7 @@ def test_an_unreadable_file_is_named(content: bytes | None, tmp_path: Path) -> N
 WRONG = [
     ({"camera.lens.surfaces": [{"stop": True, "semi_diameter_mm": 1.0}]}, r"lens\.surfaces: only a stop"),
     ({"camera.lens.surfaces[0].semi_diameter_mm": None}, r"surfaces\[0\]\.semi_diameter_mm: missing"),
-    ({"camera.lens.surfaces[1].stop": True}, r"surfaces\[1\]\.stop = true: surfaces\[0\] is the stop"),
+    ({"camera.lens.surfaces[1].stop": True}, r"surfaces\[1\]\.stop = true: surfaces\[0\] is already the stop"),
     ({"camera.lens.surfaces[1].glass": "N-BK7"}, r"surfaces\[1\]\.glass.*index = 1\.5 is given too"),
     ({"camera.lens.surfaces[1].thickness_mm": None}, r"surfaces\[1\]\.thickness_mm: missing"),
     ({"camera.lens.surfaces[2].index": 1.5}, r"surfaces\[2\]\.index = 1\.5: the lens must end in air"),

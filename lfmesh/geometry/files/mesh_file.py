@@ -220,7 +220,7 @@ def _placed_nodes(
     parts = {node.number: primitives_of(path, document, node) for node in taken}
     for node in taken:
         for what in not_read(path, document, node):
-            notes.add(f"{node.place}: {what}, which has no facets; left out")
+            notes.add(f"{node.place}: {what} and has no facets; left out")
         if key is None:
             # For a node named in a scene, this was reported when the scene was read.
             for words in left_out(document, node, parts[node.number]):

@@ -158,7 +158,7 @@ def _header(text: str) -> tuple[str, list[Element], list[str]]:
         elif words[0] == "property" and elements and len(words) > 2 and all(each in KINDS for each in _kinds(words)):
             elements[-1].properties[words[-1]] = tuple(KINDS[each] for each in _kinds(words))
         else:
-            raise ValueError(f"{line[:60]!r} stands in its header")
+            raise ValueError(f"its header has the unknown line {line[:60]!r}")
     if order is None:
         raise ValueError("its header names no format")
     return order, elements, pictures

@@ -109,7 +109,7 @@ class DatasetFile(Model):
             if part not in PARTS:
                 yield Fault(("parts", i), part, f"unknown part{nearest(part, PARTS)}; there are {', '.join(PARTS)}")
         if not self.random:
-            yield Fault(("random",), None, "missing: what is drawn for every item")
+            yield Fault(("random",), None, "missing: the values to draw for every item")
         paths = [draw.path for draw in self.random]
         for i, path in enumerate(paths):
             if path in paths[:i]:

@@ -120,7 +120,7 @@ METRICS: Mapping[str, Metric] = {
         unknown=why_no_mtf50,
         unseen=(
             "the middle of the photograph shows no straight edge, or one that is lost in noise or sharper than its "
-            "samples can tell"
+            "samples resolve"
         ),
     ),
     "refocus": Metric(

@@ -231,7 +231,7 @@ def hardly_aimed(world: World) -> list[str]:
     if proof is None or proof.missed <= FEW:
         return []
     forward = world.scene.transport.method == "forward"
-    light = "the light" if forward else "what is traced forward, of lamps through glass and of particles,"
+    light = "the light" if forward else "the light traced forward (of lamps through glass, and of particles)"
     return [
         f"{percent(proof.missed)} of {light} reaches the lens through glass, or reflected by it, on paths at which "
         "few packets are aimed. The picture may be too dark by more than its error says, most of all at edges of "

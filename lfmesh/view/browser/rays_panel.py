@@ -57,7 +57,7 @@ HEADS = {
 }
 """Visible columns of the path table, with their headings."""
 
-STEP_HEADS = ["surface", "event", "angle in °", "R", "T", "power in {unit}", "goes on in", "x, y, z in mm", "roulette"]
+STEP_HEADS = ["surface", "event", "angle in °", "R", "T", "power in {unit}", "medium", "x, y, z in mm", "roulette"]
 """Headings of a history's table."""
 
 

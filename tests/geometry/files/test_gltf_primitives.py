@@ -173,7 +173,7 @@ def test_what_a_file_has_and_the_scene_has_not_is_told_in_python(tmp_path):
     path = glb.write(tmp_path / "t.glb")
     with (
         pytest.warns(LensFileWarning, match=r"nodes\[0\] \(A\): materials\[0\]: its normal map is left out"),
-        pytest.warns(LensFileWarning, match="primitive 1 is lines, without facets"),
+        pytest.warns(LensFileWarning, match="primitive 1 is lines and has no facets"),
     ):
         load_mesh(path)
 

@@ -300,7 +300,7 @@ def test_a_budget_leaves_cameras_out_that_are_not_known_and_counts_them() -> Non
     budget = budget_of(table, table.columns[0])
     assert budget.left_out == 1
     assert budget.drawn == pytest.approx(sum((value - 1.0) ** 2 for value, _ in known) / len(known))
-    assert "1 point, of which normalised cross-correlation is not known, left out." in budget_in_words(table, budget)
+    assert "1 point left out, where normalised cross-correlation is not known." in budget_in_words(table, budget)
 
 
 def test_a_search_that_ends_at_what_is_not_known_says_no_limit_is_reached_there() -> None:
@@ -309,6 +309,6 @@ def test_a_search_that_ends_at_what_is_not_known_says_no_limit_is_reached_there(
     table = replace(table, rows=(*table.rows[:-1], end))
     said = [each for each in in_short(table) if "decentre" in each and "Best" not in each and "Worst" not in each]
     assert "decentre may change by +0.05 (at least; not known from +0.05 to +0.1) mm." in said
-    assert "Whether decentre keeps the limits between +0.05 and +0.1 mm is not known: ncc: dark." in said
+    assert "It is not known whether decentre keeps the limits between +0.05 and +0.1 mm: ncc: dark." in said
     assert not any("until a limit is reached" in each or "no limit is reached" in each for each in said)
     assert "not known within the interval" in page(table)

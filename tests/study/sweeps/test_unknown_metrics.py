@@ -169,5 +169,5 @@ def test_cameras_that_are_not_known_on_the_way_of_an_adjustment_are_counted_and_
     assert met.reason == BLACK
     said = f"({met.unknown} of {met.cameras} cameras on the way): {BLACK}"
     assert said in (tmp_path / "table.csv").read_text()
-    assert f"centres is not known of {met.unknown} of {met.cameras} cameras that searches" in " ".join(in_short(table))
+    assert f"centres is not known for {met.unknown} of {met.cameras} cameras tried" in " ".join(in_short(table))
     assert [line["unknown"] for line in logged(tmp_path) if line["event"] == "unknown on the way"] == [met.unknown]

@@ -131,7 +131,7 @@ def test_shares_of_light_come_to_the_whole_in_sentences(image_of: Build) -> None
 @pytest.mark.parametrize(
     ("changes", "ended", "said"),
     [
-        ({"targets[0].material.reflectance": 0.0}, "targets[0]", "targets[0] reflects nothing and does not shine: its"),
+        ({"targets[0].material.reflectance": 0.0}, "targets[0]", "targets[0] reflects and emits nothing: its"),
         ({"lights[0].position_mm": [0.0, 0.0, -900.0]}, "targets[0]", "targets[0] is lit by no lamp on the side that"),
         ({"targets[0].name": "board"}, "targets[1]", "No path reached targets[0] (board), which stands in the field"),
     ],

@@ -77,7 +77,7 @@ def _read_spec(spec: str) -> tuple[str, list[str]]:
     forms = "\n  ".join(FORMS.values())
     if kind not in FORMS:
         near = difflib.get_close_matches(kind, FORMS, 1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = f"; did you mean {near[0]!r}?" if near else "."
         raise LfmeshError(f"launch {spec!r}: unknown launch {kind!r}{hint} Valid are:\n  {forms}")
     found = re.fullmatch(_PATTERNS[kind], re.sub(r"\s+", "", rest))
     if not found:

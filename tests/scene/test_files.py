@@ -255,7 +255,7 @@ WRONG = [
     ({"camera.mla.pitch_mm": 125.0}, r"give a pitch_mm below 125, or here 26042 or more"),
     ({"targets": {}}, r"targets: must be a list of tables: write \[\[targets\]\] above each of them"),
     ({"camera.sensor.bands": {}}, r"sensor\.bands: must be a list of tables: write \[\[\.\.\.bands\]\] above"),
-    ({"camera.lens.coating": "ar"}, r"lens\.coating: unknown key; it belongs to a surface: .*\(lfmesh lens convert lib:"),
+    ({"camera.lens.coating": "ar"}, r"lens\.coating: unknown key; it belongs to a surface: .*lfmesh lens convert lib:"),
     ({"camera.lens.file": "lib:tessar_50mm"}, r"surfaces are given too; .*lens convert lib:tessar_50mm lens\.toml"),
     ({"camera.mla.asphere_mm": [0.0] * 15}, r"mla\.asphere_mm\[0\] = .*may have at most 14 entries"),
     ({"camera.mla.cylinder_axis": "z"}, r"mla\.cylinder_axis = \"z\": must be 'x' or 'y'"),

@@ -149,7 +149,7 @@ def _lacks(client: Any) -> Iterator[str]:
 
 def _ended(lack: str) -> LfmeshError:
     """Return the error that ends a run for lack of a worker or scheduler."""
-    return LfmeshError(f"--dask: {lack}; what is finished is kept, and the same command goes on with it")
+    return LfmeshError(f"--dask: {lack}; finished work is kept, and the same command continues it")
 
 
 def _lack_of(client: Any) -> str:

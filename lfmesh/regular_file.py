@@ -218,4 +218,4 @@ def _refuse_irregular(state: os.stat_result, path: str) -> None:
 def _why_irregular(mode: int) -> str:
     kind = _KINDS.get(stat.S_IFMT(mode), "something else")
     way = ": save what comes through it as a file" if stat.S_ISFIFO(mode) else ""
-    return f"is no regular file but {kind}{way}"
+    return f"is not a regular file but {kind}{way}"

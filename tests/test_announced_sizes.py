@@ -72,7 +72,7 @@ def test_a_packed_matrix_is_read(tmp_path: Path) -> None:
 def test_a_matrix_with_an_array_that_does_not_fit_is_not_unpacked(name: str, tmp_path: Path) -> None:
     others = {key: value for key, value in MATRIX.items() if key != name}
     path = packed(tmp_path / "m.npz", {name: (PACKED // 8,)}, others)
-    with in_little_memory(), pytest.raises(FileError, match=r"m\.npz is no projection matrix, or damaged"):
+    with in_little_memory(), pytest.raises(FileError, match=r"m\.npz is not a projection matrix, or is damaged"):
         lf.open_projection_matrix(path)
 
 
@@ -84,7 +84,7 @@ def test_a_matrix_that_is_wrong_elsewhere_is_refused_before_its_rows_are_unpacke
     others = {key: value for key, value in (MATRIX | sizes | wrong).items() if key not in packed_rows or key in wrong}
     large = {key: shape for key, shape in packed_rows.items() if key not in wrong}
     path = packed(tmp_path / "m.npz", large, others)
-    with in_little_memory(), pytest.raises(FileError, match=r"m\.npz is no projection matrix, or damaged"):
+    with in_little_memory(), pytest.raises(FileError, match=r"m\.npz is not a projection matrix, or is damaged"):
         lf.open_projection_matrix(path)
 
 
@@ -122,7 +122,7 @@ def test_a_header_that_is_longer_than_any_is_not_unpacked(tmp_path: Path) -> Non
     with in_little_memory(), pytest.raises(FileError, match=r"g\.npz: cannot be read as numpy's \.npz"):
         read_voxels(grid)
     matrix = long_header(tmp_path / "m.npz", "data", {key: value for key, value in MATRIX.items() if key != "data"})
-    with in_little_memory(), pytest.raises(FileError, match=r"m\.npz is no projection matrix, or damaged"):
+    with in_little_memory(), pytest.raises(FileError, match=r"m\.npz is not a projection matrix, or is damaged"):
         lf.open_projection_matrix(matrix)
 
 
@@ -134,7 +134,7 @@ def test_a_header_that_is_longer_than_any_is_not_unpacked(tmp_path: Path) -> Non
         ({"spacing_mm": np.ones(3), "origin_mm": np.ones(2)}, "origin_mm must be three numbers"),
         ({"spacing_mm": np.ones(7)}, "spacing_mm has 7 numbers"),
         ({"spacing_mm": np.ones(3), "temperature_k": np.ones((2, 2, 2))}, "differ in shape"),
-        ({"spacing_mm": np.ones(3), "colour": np.ones((2, 2, 2))}, "no array is called 'colour'"),
+        ({"spacing_mm": np.ones(3), "colour": np.ones((2, 2, 2))}, "unknown array 'colour'"),
     ],
 )
 def test_the_voxels_of_a_medium_are_not_unpacked_if_the_file_is_wrong_elsewhere(
@@ -170,7 +170,7 @@ def test_a_dotted_key_of_very_many_parts_is_refused_unread(kind: str, tmp_path: 
     (tmp_path / "scene.toml").write_text("schema_version = 1\n" + KEYS[kind].format(dotted))
     opened: list[Callable[[Path], Any]] = [lf.load, lf.Study.load]
     for each in opened:
-        with in_little_memory(), pytest.raises(LfmeshError, match="stand too deep in one another"):
+        with in_little_memory(), pytest.raises(LfmeshError, match="are nested too deeply"):
             each(tmp_path / "scene.toml")
 
 

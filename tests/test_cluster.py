@@ -1,5 +1,5 @@
 """A cluster whose workers are missing, read other files or run another program, or whose scheduler dies, gives no value
-that is wrong and ends with words; what is finished is kept."""
+that is wrong and ends with words; finished work is kept."""
 
 import os
 import shutil
@@ -99,7 +99,7 @@ def test_a_scheduler_without_workers_is_waited_for_with_words_and_an_end(
     }[command]
     with (
         pytest.warns(cluster.ClusterWarning, match="no worker has joined the scheduler: waiting for up to 3 s"),
-        pytest.raises(lf.LfmeshError, match="no worker has joined the scheduler; what is finished is kept"),
+        pytest.raises(lf.LfmeshError, match="no worker has joined the scheduler; finished work is kept"),
     ):
         run()
 
@@ -121,7 +121,7 @@ def test_a_study_whose_scheduler_dies_ends_and_keeps_what_is_finished(
             process.kill()
 
     try:
-        with pytest.raises(lf.LfmeshError, match="the scheduler is gone; what is finished is kept"):
+        with pytest.raises(lf.LfmeshError, match="the scheduler is gone; finished work is kept"):
             shifted(8, ("chief_rays",)).run(tmp_path / "out", dask=address, progress=kill)
     finally:
         worker.kill()

@@ -88,7 +88,7 @@ def test_another_seed_gives_other_noise_and_the_same_picture(folder: Path) -> No
 DARK = {
     "lamp behind the target": (
         {"light_z_mm": -900.0},
-        ["reached targets[0] (wall), but found nothing there that emits", "targets[0] (wall) is lit by no lamp on the"],
+        ["reached targets[0] (wall), but nothing there emits", "targets[0] (wall) is lit by no lamp on the"],
     ),
     "target out of the field": (
         {"target_x_mm": 400.0},
@@ -97,8 +97,8 @@ DARK = {
     "lens cap": (
         {"stop_mm": 1e-4},
         [
-            "None of the paths traced back from the sensor reached a target, none even got out of the lens.",
-            "that came to the lens, 100 % ended on the stop.",
+            "None of the paths traced back from the sensor reached a target, or even left the lens.",
+            "of the paths reached the lens; of these 100 % ended on the stop.",
         ],
     ),
 }
@@ -122,7 +122,7 @@ def test_a_lit_picture_says_how_noisy_it_is_and_nothing_of_the_dark(
 ) -> None:
     assert main(["render", "scene.toml", "-o", "run"]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "4 times the samples, 32 a pixel, would at least halve that" in out
+    assert "4 times the samples, 32 per pixel, would at least halve it" in out
     assert "black" not in out
     assert "ended on" not in out
 

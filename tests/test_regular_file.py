@@ -127,7 +127,7 @@ def test_a_scene_refuses_a_file_of_its_own_that_is_none(field: str, kind: str, p
     with pytest.raises(LfmeshError) as refused:
         loads(f"{bench_camera(4, 4)}{field.format(kind)}\n", place)
     assert FIELDS[field] in str(refused.value)
-    assert "is a folder" in str(refused.value) or "is no regular file but a" in str(refused.value)
+    assert "is a folder" in str(refused.value) or "is not a regular file but a" in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
@@ -158,7 +158,7 @@ def test_a_run_with_a_pipe_for_a_file_is_refused(name: str, tmp_path: Path) -> N
 
 
 def test_what_is_no_file_is_named() -> None:
-    assert why_no_file(Path("/dev/null")) == "is no regular file but a device"
+    assert why_no_file(Path("/dev/null")) == "is not a regular file but a device"
 
 
 def test_a_pipe_that_takes_the_place_of_a_file_is_not_waited_for(
@@ -169,7 +169,7 @@ def test_a_pipe_that_takes_the_place_of_a_file_is_not_waited_for(
     (tmp_path / "file").write_text("text")
     seen = (tmp_path / "file").stat()
     monkeypatch.setattr("lfmesh.regular_file.os.stat", lambda _: seen)
-    with pytest.raises(OSError, match="it is no regular file but a pipe"):
+    with pytest.raises(OSError, match="it is not a regular file but a pipe"):
         read_bytes(tmp_path / "pipe")
 
 
@@ -192,7 +192,7 @@ def test_a_pipe_that_is_written_to_is_refused_too(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "scene.toml")
     reader = os.open(tmp_path / "scene.toml", os.O_RDONLY | os.O_NONBLOCK)
     threading.Thread(target=(tmp_path / "scene.toml").write_text, args=(bench_camera(4, 4),), daemon=True).start()
-    with pytest.raises(LfmeshError, match="no regular file but a pipe"):
+    with pytest.raises(LfmeshError, match="not a regular file but a pipe"):
         lfmesh.load(tmp_path / "scene.toml")
     os.close(reader)
 

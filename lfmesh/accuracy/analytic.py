@@ -106,7 +106,7 @@ class Camera:
             if surface.section_key is not None:
                 raise LfmeshError(
                     f"camera.lens.surfaces[{i}].{surface.section_key}: the truth that errors are measured against has "
-                    "surfaces of revolution alone"
+                    "surfaces of revolution only"
                 )
             after = behind[i]
             interfaces.append(

@@ -45,7 +45,7 @@ def draw_error_against_triangles(axes: Any, rows: Sequence[LensRow], pixel_mm: f
             level, (x[-1], max(of_level[-1].rms_mm, LEAST_MM)), xytext=(8, 0), textcoords="offset points",
             color=COLOURS[level], va="center",
         )  # fmt: skip
-    axes.set(xscale="log", yscale="log", xlabel="triangles a surface", ylabel="error where a ray lands / mm")
+    axes.set(xscale="log", yscale="log", xlabel="triangles per surface", ylabel="error where a ray lands / mm")
     _plain_counts(axes.xaxis)
     low, high = axes.get_xlim()
     # Make room for the levels' names.

@@ -82,7 +82,7 @@ SOBOL = Way(
 )  # fmt: skip
 PARTS = Way(
     "adjoint, in parts",
-    "the same, the image path through exact surfaces in their order, the reflections apart from it",
+    "the same, the image path sequentially through exact surfaces, the reflections apart from it",
     "adjoint", "both", True, True, "auto",
 )  # fmt: skip
 IMAGE_PATH = Way(
@@ -92,7 +92,7 @@ IMAGE_PATH = Way(
 )  # fmt: skip
 SEQUENTIAL = Way(
     "adjoint, sequential",
-    "the same without reflections, through exact surfaces in their order",
+    "the same without reflections, sequentially through exact surfaces",
     "adjoint", "transmit", True, True, "sequential",
 )  # fmt: skip
 WAYS = (ANALOG, SPLITTING, AIMING, RANDOM, SOBOL, PARTS)
@@ -263,7 +263,7 @@ def study_images(
     small, binned = _binned(scene, effort.pixels)
     references: dict[Way, Image] = {}
     for way in dict.fromkeys(way.reference for way in ways):
-        say(f"images: reference by {way.name}, {effort.reference} samples a pixel")
+        say(f"images: reference by {way.name}, {effort.reference} samples per pixel")
         references[way] = _run(_world(small, way, effort.reference, REFERENCE_REPLICATES), way, seed)[0]
     main = references.get(SOBOL, next(iter(references.values())))
     power = _power(main)
@@ -277,7 +277,7 @@ def study_images(
         # Compile first.
         _run(_world(small, way, REPLICATES, REPLICATES), way, seed)
         for samples in effort.samples[way.name]:
-            say(f"images: {way.name}, {samples} samples a pixel")
+            say(f"images: {way.name}, {samples} samples per pixel")
             world = _world(small, way, samples, REPLICATES)
             runs = [_run(world, way, seed + 1 + k) for k in range(effort.repeats)]
             rows.append(_row(way, samples, runs, references[way.reference]))

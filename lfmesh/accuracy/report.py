@@ -117,7 +117,7 @@ def measure(
     lenses = tuple(study_lens(one, rings=rings, rays=rays, progress=progress) for one in scenes)
     images = study_images(pictured, effort, progress) if shines(pictured) else None
     name = scene.name if scene is not None else "the lenses that come with lfmesh"
-    return AccuracyReport(f"Accuracy of {name or 'a scene without a name'}", lenses, images)
+    return AccuracyReport(f"Accuracy of {name or 'an unnamed scene'}", lenses, images)
 
 
 def made_on() -> str:

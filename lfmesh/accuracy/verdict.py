@@ -18,7 +18,7 @@ SURE = 2.0
 MESH_LEVELS = ("patch", "smooth", "flat")
 """The levels that need no formula of the surface, best first."""
 
-NO_LIGHT = "Nothing shines in this scene: no images were measured."
+NO_LIGHT = "Nothing emits light in this scene: no images were measured."
 
 UNITS = ((0.1, 1.0, "mm"), (1e-4, 1e3, "µm"), (1e-7, 1e6, "nm"))
 
@@ -77,7 +77,7 @@ def about_the_truth(study: LensStudy) -> str:
     if study.truth_error_mm is None:
         return (
             "The truth is a trace through the analytic surfaces in float64; its own rounding error could not be "
-            "measured here, for this machine's long double is no wider."
+            "measured here, because this machine's long double is no wider."
         )
     return (
         "The truth is a trace through the analytic surfaces in float64 that shares no code with the tracer; the same "
@@ -94,7 +94,7 @@ def about_triangles(study: LensStudy, way: str) -> str:
     if way != LENS_ALONE:
         sentences.append(
             f"The curved face of a lenslet has {study.lenslet_triangles:,} triangles on every mesh of the lens: its "
-            "own error is what remains of patch and smooth."
+            "own error is the remaining error of patch and smooth."
         )
     return " ".join(sentences)
 
@@ -103,7 +103,7 @@ def about_time(study: LensStudy, way: str) -> str:
     """Describe the levels' cost in time, memory and building, and any losses."""
     rows = study.of(way)
     exact = study.of(way, "exact")[0]
-    words = [f"On its default mesh exact takes {_nanoseconds(exact)} an event."]
+    words = [f"On its default mesh exact takes {_nanoseconds(exact)} per event."]
     for level in MESH_LEVELS:
         if good := cheapest_good(study.of(way, level)):
             ratio = exact.events_per_second / good.events_per_second
@@ -115,13 +115,13 @@ def about_time(study: LensStudy, way: str) -> str:
         words.append("No level on any mesh is clearly faster than exact: giving up accuracy buys no time.")
     else:
         words.append(
-            f"The fastest of all is {fastest.surface} with {fastest.triangles:,} triangles, {_nanoseconds(fastest)} an "
-            f"event, at an error of {length(fastest.rms_mm)}."
+            f"The fastest of all is {fastest.surface} with {fastest.triangles:,} triangles, {_nanoseconds(fastest)} "
+            f"per event, at an error of {length(fastest.rms_mm)}."
         )
     finest = max(rows, key=lambda row: row.triangles)
     words.append(
         f"Exact's default mesh takes {two_digits(exact.build_seconds)} s to build and "
-        f"{two_digits(exact.table_bytes / 1e6)} MB of tables; {finest.triangles:,} triangles a surface take "
+        f"{two_digits(exact.table_bytes / 1e6)} MB of tables; {finest.triangles:,} triangles per surface take "
         f"{two_digits(finest.build_seconds)} s and {two_digits(finest.table_bytes / 1e6)} MB."
     )
     return " ".join([*words, *_what_went_wrong(rows)])
@@ -164,7 +164,7 @@ def most_efficient(study: ImageStudy) -> str:
     even = [way for way in ranked[1:] if not _is_surely_better(study, best, way)]
     if even:
         tied = " and ".join(way.name for way in even)
-        words += f", not told apart from {tied} by its rms error, but better in a typical pixel"
+        words += f", indistinguishable from {tied} by its rms error, but better in a typical pixel"
     others = [
         f"{_factor(*study.gain(best, way))} times as efficient as {way.name}" for way in ranked[1:] if way not in even
     ]
@@ -174,14 +174,14 @@ def most_efficient(study: ImageStudy) -> str:
 def about_the_reference(study: ImageStudy) -> str:
     """Describe the reference's uncertainty and its influence."""
     words = (
-        f"The reference, adjoint with {study.reference_samples} samples a pixel of another seed, has an rms error of "
-        f"{percent(study.reference_error)} itself ({percent(study.reference_typical)} in a typical pixel); its "
+        f"The reference, adjoint with {study.reference_samples} samples per pixel and another seed, has an rms error "
+        f"of {percent(study.reference_error)} itself ({percent(study.reference_typical)} in a typical pixel); its "
         f"variance is {percent(study.reference_share())} of the smallest measured, and subtracted."
     )
     if study.binned > 1:
         words += (
             f" Measured with {study.binned} × {study.binned} pixels of the sensor joined into one "
-            f"({study.pixels[0]} × {study.pixels[1]} in all), so that the inefficient ways get anywhere."
+            f"({study.pixels[0]} × {study.pixels[1]} in all), so that the inefficient ways converge at all."
         )
     return words
 
@@ -205,23 +205,23 @@ def three_numbers(study: LensStudy) -> list[str]:
     """Return the three most important numbers of a lens, one line each."""
     exact = study.of(LENS_ALONE, "exact")[0]
     lines = [
-        f"exact, {exact.triangles:,} triangles a surface (its default): rays land within {length(exact.max_mm)} of the "
-        f"truth, {_nanoseconds(exact)} an event"
+        f"exact, {exact.triangles:,} triangles per surface (its default): rays land within {length(exact.max_mm)} of "
+        f"the truth, {_nanoseconds(exact)} per event"
     ]
     mesh = cheapest_mesh(study)
     if mesh is not None:
         lines.append(
-            f"{mesh.surface}, for glass that is only a mesh: {mesh.triangles:,} triangles a surface err by "
+            f"{mesh.surface}, for glass that is only a mesh: {mesh.triangles:,} triangles per surface err by "
             f"{pixels(mesh.rms_px)} (rms)"
         )
     flat = study.of(LENS_ALONE, "flat")[-1]
-    lines.append(f"flat facets, {flat.triangles:,} triangles a surface: {pixels(flat.rms_px)} off (rms)")
+    lines.append(f"flat facets, {flat.triangles:,} triangles per surface: {pixels(flat.rms_px)} off (rms)")
     return lines
 
 
 def _choice(study: LensStudy, way: str, exact: LensRow) -> str:
     words = (
-        f"Choose exact wherever the surfaces have a formula: on its default mesh of {exact.triangles:,} triangles a "
+        f"Choose exact wherever the surfaces have a formula: on its default mesh of {exact.triangles:,} triangles per "
         f"surface rays land within {length(exact.max_mm)} of the truth, and finer meshes change nothing. "
     )
     mesh = cheapest_mesh(study, way)
@@ -230,7 +230,7 @@ def _choice(study: LensStudy, way: str, exact: LensRow) -> str:
     if way != LENS_ALONE:
         return words + f"For glass that is only a mesh choose {mesh.surface}."
     return words + (
-        f"For glass that is only a mesh choose {mesh.surface}: {mesh.triangles:,} triangles a surface stay below a "
+        f"For glass that is only a mesh choose {mesh.surface}: {mesh.triangles:,} triangles per surface stay below a "
         "tenth of a pixel."
     )
 
@@ -249,7 +249,7 @@ def _level_words_through_lenslets(study: LensStudy, way: str, level: str) -> str
     rows = study.of(way, level)
     first, last = rows[0], rows[-1]
     return (
-        f"With {level} {percent(first.elsewhere)} of the rays come through another lenslet than they should at "
+        f"With {level} {percent(first.elsewhere)} of the rays come through the wrong lenslet at "
         f"{first.triangles:,} triangles, {percent(last.elsewhere)} at {last.triangles:,}, where the others err by "
         f"{length(last.rms_mm)} ({pixels(last.rms_px)})."
     )

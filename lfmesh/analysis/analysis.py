@@ -44,22 +44,22 @@ FINEST_MTF = 0.5
 """Highest frequency of the geometric MTF, over the diffraction cut-off."""
 
 DEFINITIONS = (
-    "image plane: the array's apexes, what the lenslets of a focused camera image, or the sensor; not refocused",
-    "fields: chief rays at shares of the paraxial image height, meridional plane; objects below the axis",
+    "image plane: the array's apexes, the plane that a focused camera's lenslets image, or the sensor; not refocused",
+    "fields: chief rays at fractions of the paraxial image height, meridional plane; objects below the axis",
     "rays: square grid in the stop (real ray aiming), equal areas, weighted by Fresnel's transmittance",
     "spots: all wavelengths, equal weights; rms about the centroid; GEO: largest distance from the primary chief ray",
-    "fans: from the primary chief ray of the field or, without one, the mean place; pupil coordinate in the stop",
-    "longitudinal aberration: where an axial point's rays cross the axis; + behind the image plane",
-    "foci: rays 0.001 stop radii beside the chief ray (Coddington's, by differences); + behind the image plane",
-    "distortion: chief ray over its paraxial height, primary wavelength",
-    "lateral colour: chief rays from the primary wavelength's",
+    "fans: relative to the field's primary chief ray or, without one, the mean; pupil coordinate in the stop",
+    "longitudinal aberration: axial crossings of an axial point's rays; + behind the image plane",
+    "foci: rays 0.001 stop radii from the chief ray (Coddington's, by differences); + behind the image plane",
+    "distortion: chief ray relative to its paraxial height, primary wavelength",
+    "lateral colour: chief rays relative to the primary wavelength's",
     "illumination: irradiance of a Lambertian plane's image over that on the axis, primary wavelength",
-    "pass: share of the stop's points, unweighted; Airy radius (circle): 1.22 λ N, primary wavelength, N at work",
-    "path differences: + ahead of the sphere about the primary chief ray's image, from the same colour's chief ray",
+    "pass: share of the stop's points, unweighted; Airy radius (circle): 1.22 λ N, primary wavelength, working N",
+    "path differences: + ahead of the sphere around the primary chief ray's image, relative to each colour's chief ray",
     "wavefront: primary wavelength; rms without the mean, tilt included; Strehl ratio from it, weighted as spots",
-    "point spread: by diffraction, all wavelengths, over the peak of the same light in phase; circle: Airy",
+    "point spread: by diffraction, all wavelengths, relative to the same light in phase; circle: Airy",
     "MTF: by waves (thick), and by rays, the modulus of the spot's transform (thin); all wavelengths, equal weights",
-    "diffraction limit (dotted): a round perfect pupil on the axis of the f-number at work, all wavelengths",
+    "diffraction limit (dotted): a perfect round pupil on the axis at the working f-number, all wavelengths",
 )
 """Definitions of the figures, for comparison with other programs."""
 
@@ -185,8 +185,8 @@ class LensAnalysis(Shown):
         facts = self.first_order
         at = "infinity" if math.isinf(self.object_mm) else f"{self.object_mm:.6g} mm"
         lines = [
-            f"f = {facts.efl_mm:.4f} mm, f/{facts.working_f_number:.3f} at work, object at {at}, "
-            f"image plane z = {self.image_z_mm:.4f} mm",
+            f"f = {facts.efl_mm:.4f} mm, working f/{facts.working_f_number:.3f}, object at {at}, "
+            f"image plane z = {self.image_z_mm:z.4f} mm",
             *filter(None, [self.focus_in_words]),
             f"Airy radius {1e3 * self.airy_radius_mm:.3f} µm at {self.primary_nm:g} nm; "
             f"wavelengths {', '.join(f'{w:g}' for w in self.wavelengths_nm)} nm",
@@ -200,12 +200,12 @@ class LensAnalysis(Shown):
                 for curve in (c.tangential_mm[middle], c.sagittal_mm[middle], 100.0 * c.distortion, c.illumination)
             )
             lines.append(
-                f"{height:9.3f}{spot.chief_mm[1]:11.4f}{1e3 * spot.rms_mm:10.3f}{1e3 * spot.geo_mm:10.3f}"
-                f"{spot.passed:9.1%}{t:12.4f}{s:12.4f}{d:9.3f}{light:8.1%}"
+                f"{height:9.3f}{spot.chief_mm[1]:z11.4f}{1e3 * spot.rms_mm:10.3f}{1e3 * spot.geo_mm:10.3f}"
+                f"{spot.passed:9.1%}{t:z12.4f}{s:z12.4f}{d:z9.3f}{light:8.1%}"
             )
         lines += [
-            f"{height:9.3f}  no chief ray: a surface ends before it or reflects it totally; spot and fans are about "
-            "the mean place of the other rays"
+            f"{height:9.3f}  no chief ray: a surface ends before it or reflects it totally; spot and fans are relative "
+            "to the mean of the other rays"
             for height, spot in zip(self.heights_mm, self.spots, strict=True)
             if not spot.has_chief
         ]
@@ -295,8 +295,8 @@ def analyse(
     if (number := camera.scene.camera.lens.number_off_revolution) is not None:
         key = camera.scene.camera.lens.surfaces[number].section_key
         raise LfmeshError(
-            f"camera.lens.surfaces[{number}].{key}: the lens sheet is that of surfaces of revolution, whose fields lie "
-            "along one line; trace rays or render instead"
+            f"camera.lens.surfaces[{number}].{key}: the lens sheet is for surfaces of revolution only, whose fields "
+            "lie along one line; trace rays or render instead"
         )
     object_mm = facts.object_distance_mm if object_mm is None else float(object_mm)
     waves = wavelengths_of(scene, wavelengths_nm)

@@ -63,29 +63,29 @@ PIXELS = ("inner pixels", "outer pixels", "all pixels")
 
 DEFINITIONS = (
     "cross-talk: uniform radiance fills the exit pupil; equal areas of the array and of the stop, weighted by "
-    "Fresnel's transmittance of lens and array; refracted light alone, primary wavelength",
-    "cell: what lies nearer to where the chief ray of its lenslet lands than to that of any other",
+    "Fresnel's transmittance of lens and array; refracted light only, primary wavelength",
+    "cell: the area nearer to the landing point of its lenslet's chief ray than to any other's",
     "from others: share of the light in the lenslet's cell that met another lenslet; "
     "to others: share of the light that met the lenslet and lands outside its cell; "
-    "good to about 0.1 points or a tenth of it",
+    "accurate to about 0.1 percentage points or a tenth of the value",
     "fields: the lenslet nearest the paraxial height, towards a corner of the array, with all its neighbours",
     "photographs: a point on the axis at each distance, primary wavelength, stop and weights as above; "
-    "landing places are binned into pixels",
-    "MTF: modulus of the transform of the photograph's spread along +x, mean over all positions of the point against "
-    "the lenslets; its frequencies are on the array, as in the middle view; no diffraction",
+    "landing points are binned into pixels",
+    "MTF: modulus of the transform of the photograph's spread along +x, mean over all positions of the point relative "
+    "to the lenslets; its frequencies are on the array, as in the middle view; no diffraction",
 )
 
 OF_VIEWS = (
-    "views: pixels interpolated about the chief rays' places as decode does; the photograph is all views shifted by "
+    "views: pixels interpolated around the chief rays as decode does; the photograph is all views shifted by "
     "the ray model's shift for the distance, linearly between samples, and added; not divided by white",
-    "middle view: the one of the pupil's middle (to its right if there is none); edge view: the outermost to the right "
-    "that lies within the pupil as a whole",
+    "middle view: at the pupil's middle (to its right if there is none); edge view: the outermost one on the right "
+    "that lies wholly within the pupil",
 )
 
 OF_PATCHES = (
-    "photograph: each pixel at its lenslet's apex and the shift times its distance from the chief ray's place, "
+    "photograph: each pixel at its lenslet's apex and the shift times its distance from the chief ray, "
     "interpolated linearly, weighted as render_patches does; not divided by the sum of weights",
-    "inner, outer pixels: within and beyond half the radius that micro-images hold",
+    "inner, outer pixels: inside and outside half the radius of the micro-images",
 )
 
 
@@ -166,8 +166,8 @@ class LightFieldAnalysis:
         lines.append(f"{'plane/mm':>11}{'shift/p':>9}{parts}")
         for each in self.photographs:
             halves = (half_contrast(self.frequencies_per_mm, curve) for curve in each.mtf)
-            far = "inf" if math.isinf(each.distance_mm) else f"{each.distance_mm:.2f}"
-            lines.append(f"{far:>11}{each.shift_lenslets:9.2f}" + "".join(f"{half:14.3f}" for half in halves))
+            far = "inf" if math.isinf(each.distance_mm) else f"{each.distance_mm:z.2f}"
+            lines.append(f"{far:>11}{each.shift_lenslets:z9.2f}" + "".join(f"{half:14.3f}" for half in halves))
         return lines
 
     def as_dict(self) -> dict[str, Any]:

@@ -23,7 +23,7 @@ More examples:
 )
 def accuracy(
     scene: Annotated[
-        Path | None, Parameter(name="scene", help="Scene file (TOML); none: the lenses of lfmesh.")
+        Path | None, Parameter(name="scene", help="Scene file (TOML); if omitted, the lenses that come with lfmesh.")
     ] = None,
     /,
     *,
@@ -39,7 +39,7 @@ def accuracy(
     """
     if hard:
         if scene is not None or output is not None or quick:
-            raise LfmeshError("--hard stands alone: its cases are fixed, and their outcomes are printed")
+            raise LfmeshError("--hard takes no scene, --out or --quick, because its cases are fixed; omit them")
         return _hard_cases()
 
     from lfmesh.scene import load

@@ -71,14 +71,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.filename is None:
             _give_up_output()
-        where = "what is printed" if error.filename is None else str(error.filename)
+        where = "standard output" if error.filename is None else str(error.filename)
         return _complain(f"{where}: cannot be written or read: {error.strerror or error}")
 
 
 def stopped(out: Path, done: int, things: str) -> int:
     """Print the number of finished things that an interrupted command has kept; return its exit code."""
     if done:
-        kept = f"{done} {things if done > 1 else things.removesuffix('s')} kept in {out}; the same command goes on."
+        kept = f"{done} {things if done > 1 else things.removesuffix('s')} kept in {out}; the same command continues."
     else:
         kept = f"none of its {things} is finished; the same command begins with the first."
     print("\n" + wrapped(f"Stopped: {kept}"), file=sys.stderr)

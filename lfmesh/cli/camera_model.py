@@ -26,12 +26,16 @@ def camera_model(
     *,
     out: Annotated[
         Path,
-        Parameter(name=["--out", "-o"], help="File to write: .exr, or .h5 with h5py; beside it cameras.json."),
+        Parameter(
+            name=["--out", "-o"], help="File to write: .exr, or .h5 with h5py. Also writes cameras.json beside it."
+        ),
     ],
-    views: Annotated[Whole | None, Parameter(help="Along each axis; as many as a micro-image has pixels.")] = None,
+    views: Annotated[
+        Whole | None, Parameter(help="Number of views along each axis (default: pixels across a micro-image).")
+    ] = None,
     distances_mm: Annotated[
         list[float] | None,
-        Parameter(help="Distances at which the views are pinholes.", consume_multiple=True),
+        Parameter(help="Object distances at which the pinholes of the views are fitted, mm.", consume_multiple=True),
     ] = None,
 ) -> int:
     """Write the ray in object space of every pixel, and every view as a pinhole camera in OpenCV's convention."""

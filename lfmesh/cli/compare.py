@@ -26,9 +26,9 @@ def compare(
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for the figure and the numbers as JSON.")],
     reduction: Annotated[
-        float, Parameter(help="By how much the lenslets of the focused camera reduce the main image.")
+        float, Parameter(help="Factor by which the lenslets of the focused camera reduce the main image.")
     ] = 3.0,
-    steps: Annotated[Whole, Parameter(help="Distances at which sharpness is measured; odd.")] = 13,
+    steps: Annotated[Whole, Parameter(help="Number of distances at which sharpness is measured; odd.")] = 13,
     overrides: Overrides | None = None,
 ) -> int:
     """Picture a scene with a conventional, a standard and a focused plenoptic camera, and compare the results.

@@ -32,10 +32,10 @@ def dataset(
     /,
     *,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"], help="Folder of the dataset.")] = None,
-    count: Annotated[Whole | None, Parameter(help="Number of items, in place of the file's.")] = None,
-    seed: Annotated[Whole | None, Parameter(help="Of the draws, in place of the file's.")] = None,
-    dry_run: Annotated[bool, Parameter(help="List what is drawn, and render nothing.")] = False,
-    workers: Annotated[Whole | None, Parameter(help="Processes; 0: this one alone.")] = None,
+    count: Annotated[Whole | None, Parameter(help="Number of items. Overrides the file's.")] = None,
+    seed: Annotated[Whole | None, Parameter(help="Random seed. Overrides the file's.")] = None,
+    dry_run: Annotated[bool, Parameter(help="List the drawn values, and render nothing.")] = False,
+    workers: Annotated[Whole | None, Parameter(help="Number of worker processes; 0 works in this process.")] = None,
     shard: Shard = None,
 ) -> int:
     """Render many scenes drawn from one template: raw image, views, true depth and camera of each.

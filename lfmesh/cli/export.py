@@ -35,13 +35,14 @@ def export(
     depth: Annotated[
         Path | None,
         Parameter(
-            help="With hci, exr-rgb: EXR of distances in mm, channel truth or Z; may be the run's. hci: a view's."
+            help="With hci and exr-rgb: EXR file of distances in mm, channel truth or Z, such as the run's depth.exr; "
+            "for hci of a view's size."
         ),
     ] = None,
 ) -> int:
-    """Write a run for other people's tools: a folder with their files, and export.json, which says what means what."""
+    """Convert a run for other tools: a folder with their files, and export.json, which explains them."""
     if depth is not None and kind not in ("hci", "exr-rgb"):
-        raise LfmeshError(f"--depth {depth}: {kind} holds no depth; leave it out, or take --format hci or exr-rgb")
+        raise LfmeshError(f"--depth {depth}: {kind} cannot hold depth; omit it, or use --format hci or exr-rgb")
     with defer_interrupt():
         from lfmesh.files import exr
         from lfmesh.files.exports.export import export_field
@@ -52,7 +53,7 @@ def export(
         depth_mm = exr.read_map(_found(depth, run), ("truth", "Z")) if depth is not None else None
         field = field_of(run)
         paths = export_field(field, out, kind, depth_mm=depth_mm)
-    print(f"  {out}: {len(paths)} files; {paths[-1].name} says what means what")
+    print(f"  {out}: {len(paths)} files; {paths[-1].name} explains them")
     return 0
 
 

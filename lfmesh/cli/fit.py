@@ -39,21 +39,21 @@ def fit(
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for scene, values and residuals.")],
     orientation: Annotated[
         Literal["upright", "upside_down", "sensor"],
-        Parameter(help="How a picture lies; sensor: row 0 at −y, column 0 at −x of the sensor."),
+        Parameter(help="Orientation of the pictures; sensor: row 0 at −y, column 0 at −x of the sensor."),
     ] = "upright",
     also: Annotated[
         list[str] | None,
-        Parameter(help="PATH=CHANGE: fit this field too; its largest plausible change."),
+        Parameter(help="PATH=CHANGE: also fit this field; CHANGE is its largest plausible change."),
     ] = None,
-    samples: Annotated[Whole, Parameter(help="Per pixel, of the simulated white images.")] = 128,
+    samples: Annotated[Whole, Parameter(help="Samples per pixel of the simulated white images.")] = 128,
     board: Annotated[
         list[Path] | None,
-        Parameter(help="Picture of a checkerboard, or a run: fits focus and pose too; may be repeated."),
+        Parameter(help="Picture of a checkerboard, or a run, to fit focus and pose too; may be repeated."),
     ] = None,
-    square_mm: Annotated[float | None, Parameter(help="Side of the boards' squares.")] = None,
+    square_mm: Annotated[float | None, Parameter(help="Side of the boards' squares, mm.")] = None,
     grid: Annotated[
         tuple[Whole, Whole] | None,
-        Parameter(help="Corners between four squares, along x and y; the outer ones must be seen."),
+        Parameter(help="Number of inner corners along x and y; all must be visible."),
     ] = None,
     corners: Annotated[
         list[Path] | None, Parameter(help="List of a board's corners (CSV), in place of a picture.")
@@ -66,7 +66,7 @@ def fit(
     """
     further = dict(map(_further, also or []))
     if not board and (square_mm, grid) != (None, None):
-        raise LfmeshError("--square-mm and --grid tell of a checkerboard; give its picture with --board")
+        raise LfmeshError("--square-mm and --grid describe a checkerboard; give its picture with --board")
     if board or corners:
         columns, rows = grid or (None, None)
         size = {"square_mm": square_mm, "columns": columns, "rows": rows}
@@ -158,7 +158,7 @@ def _estimate(each: "Estimate") -> str:
 
     error = "kept, not determined" if each.kept else f"± {plain(each.standard_error, 2)}"
     if each.together and not each.kept:
-        error += ", if what is kept is right"
+        error += ", if the kept values are right"
     return f"{each.parameter.name:<22}{each.value:>12.6g} {each.parameter.unit:<4}{error}"
 
 

@@ -19,7 +19,7 @@ app.command(lens_app)
 
 @lens_app.command(name="list")
 def list_lenses() -> int:
-    """List the lenses that come with lfmesh: name, focal length, f-number, what it is, where it was published.
+    """List the lenses that come with lfmesh: name, focal length, f-number, design, source.
 
     In a scene file: [camera.lens] file = "lib:cooke_triplet_50mm".
     """
@@ -48,18 +48,20 @@ def convert(
     *,
     glass: Annotated[
         list[str] | None,
-        Parameter(help="NAME=GLASS or NAME=INDEX, in place of a name that the catalogue does not have; repeatable."),
+        Parameter(help="NAME=GLASS or NAME=INDEX: replaces a glass that the catalogue lacks; may be repeated."),
     ] = None,
-    configuration: Annotated[int | None, Parameter(help="Which configuration of a .zmx or .seq file, from 1.")] = None,
-    coatings: Annotated[Path | None, Parameter(help="Coating file of a .zmx file, where none is beside it.")] = None,
-    every_line: Annotated[bool, Parameter(name="--lines", help="Say what became of every line.")] = False,
+    configuration: Annotated[
+        int | None, Parameter(help="Number of the configuration in a .zmx or .seq file, from 1.")
+    ] = None,
+    coatings: Annotated[Path | None, Parameter(help="Coating file of a .zmx file, if none lies beside it.")] = None,
+    every_line: Annotated[bool, Parameter(name="--lines", help="Report how every line was read.")] = False,
 ) -> int:
-    """Read a lens file of another program, say what became of its lines, and write it in another format."""
+    """Convert a lens file of another program, and report how its lines were read."""
     from lfmesh.imports import read_lens_file, write_lens_file
     from lfmesh.scene.camera.file_choices import FileChoices
 
     if configuration is not None and configuration < 1:
-        raise LfmeshError(f"--configuration {configuration}: they count from 1")
+        raise LfmeshError(f"--configuration {configuration}: must be 1 or more")
     coating_file = None if coatings is None else str(coatings)
     lens, report = read_lens_file(source, FileChoices(_glasses(glass or []), configuration, coating_file))
     notes = write_lens_file(lens, target, report.conditions)

@@ -23,11 +23,12 @@ def sheet(
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="File to write: .pdf, .svg, .png or .html.")],
     object_mm: Annotated[
-        float | None, Parameter(help="Object distance before the first vertex; inf: parallel light.")
+        float | None, Parameter(help="Object distance before the first vertex, mm; inf: parallel light.")
     ] = None,
-    height_mm: Annotated[float | None, Parameter(help="Largest image height.")] = None,
+    height_mm: Annotated[float | None, Parameter(help="Largest image height, mm.")] = None,
     wavelengths_nm: Annotated[
-        tuple[float, ...] | None, Parameter(help="An odd number, the primary one in the middle.", consume_multiple=True)
+        tuple[float, ...] | None,
+        Parameter(help="An odd number of wavelengths, nm; the middle one is the primary.", consume_multiple=True),
     ] = None,
 ) -> int:
     """Draw the lens sheet: spots, ray fans, foci and distortion over the field, colour, illumination, MTF.

@@ -36,13 +36,13 @@ def decode(
     *,
     centres: Annotated[
         Literal["traced", "white-image"],
-        Parameter(help="Where the centres of the micro-images come from: chief rays, or the white image."),
+        Parameter(help="Source of the centres of the micro-images: traced chief rays, or the white image."),
     ] = "traced",
     white: Annotated[
-        bool, Parameter(negative="--no-white", help="Divide by the white image where the run has one.")
+        bool, Parameter(negative="--no-white", help="Divide by the white image if the run has one.")
     ] = True,
     views: Annotated[
-        Whole | None, Parameter(help="Along each axis; as many pixels as a micro-image is wide, if omitted.")
+        Whole | None, Parameter(help="Number of views along each axis (default: pixels across a micro-image).")
     ] = None,
 ) -> int:
     """Decode a run into its light field: lightfield.exr with all views and standard errors, views.png."""
@@ -76,22 +76,27 @@ def refocus(
     stack: Annotated[
         str | None, Parameter(help="Focal stack FIRST:LAST:STEP, mm; an EXR with all planes and an animated PNG.")
     ] = None,
-    all_in_focus: Annotated[bool, Parameter(help="With --stack: every place from its sharpest plane.")] = False,
+    all_in_focus: Annotated[
+        bool, Parameter(help="With --stack: also write a photograph with each pixel from its sharpest plane.")
+    ] = False,
     f_number: Annotated[
-        float | None, Parameter(help="Aperture on the image side, no wider than the lens had; all views if omitted.")
+        float | None,
+        Parameter(help="F-number of the photographs on the image side, not below the lens's (default: all views)."),
     ] = None,
     method: Annotated[
         Literal["shift", "fourier", "patches"],
-        Parameter(help="Shift and add views; slice their 4D Fourier transform; join patches of a focused camera's."),
+        Parameter(
+            help="Shift and add views; slice their 4D Fourier transform; or join patches of a focused camera's image."
+        ),
     ] = "shift",
 ) -> int:
     """Focus a run on other planes, from its lightfield.exr or else from its raw image."""
     if not distance_mm and stack is None:
         raise LfmeshError("nothing to focus on: give --distance-mm 480 or --stack 300:800:20")
     if all_in_focus and stack is None:
-        raise LfmeshError("--all-in-focus takes its planes from --stack FIRST:LAST:STEP; give that too")
+        raise LfmeshError("--all-in-focus needs --stack FIRST:LAST:STEP, whose planes it combines; give both")
     if method == "patches" and f_number is not None:
-        raise LfmeshError(f"--f-number {f_number:g}: patches use all views; leave it out, or take --method shift")
+        raise LfmeshError(f"--f-number {f_number:g}: patches use all views; omit it, or use --method shift")
     planes = _planes(stack) if stack is not None else []
     with defer_interrupt():
         from lfmesh.files import photographs as files
@@ -121,10 +126,10 @@ def depth(
     /,
     *,
     near_mm: Annotated[
-        float | None, Parameter(help="Nearest distance to search; the near end of the refocus range, if omitted.")
+        float | None, Parameter(help="Nearest distance to search, mm (default: the near end of the refocus range).")
     ] = None,
-    far_mm: Annotated[float | None, Parameter(help="Farthest distance to search; the far end, if omitted.")] = None,
-    samples: Annotated[Whole, Parameter(help="Rays of each raw pixel's bundle for its true depth.")] = 16,
+    far_mm: Annotated[float | None, Parameter(help="Farthest distance to search, mm (default: the far end).")] = None,
+    samples: Annotated[Whole, Parameter(help="Rays per raw pixel for its true depth.")] = 16,
 ) -> int:
     """Find the depth of what a run shows: the truth by tracing, the estimate from its light field, and its error.
 
@@ -158,19 +163,19 @@ def expose(
     /,
     *,
     exposure_s: Annotated[
-        float | None, Parameter(help="If omitted, the bright pixels fill 80 % of their wells.")
+        float | None, Parameter(help="Exposure time, s (default: bright pixels fill 80 % of their wells).")
     ] = None,
-    quantum_efficiency: Annotated[float, Parameter(help="Electrons a photon.")] = 0.6,
+    quantum_efficiency: Annotated[float, Parameter(help="Electrons per photon.")] = 0.6,
     bayer: Annotated[
         Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None,
-        Parameter(help="Colour filters, from the upright picture's first corner; none if omitted."),
+        Parameter(help="Colour filters, starting at the upper left corner of the upright picture (default: none)."),
     ] = None,
-    full_well_e: Annotated[float, Parameter(help="Electrons that a pixel holds.")] = 10000.0,
-    dark_current_e_s: Annotated[float, Parameter(help="Electrons a second in the dark.")] = 1.0,
-    read_noise_e: Annotated[float, Parameter(help="Standard deviation, electrons.")] = 2.0,
-    bits: Annotated[Whole, Parameter(help="Of a count, 16 at most.")] = 12,
-    black_level: Annotated[Whole, Parameter(help="Count of an empty pixel.")] = 64,
-    seed: Annotated[Whole, Parameter(help="Of the noise.")] = 0,
+    full_well_e: Annotated[float, Parameter(help="Full-well capacity of a pixel, electrons.")] = 10000.0,
+    dark_current_e_s: Annotated[float, Parameter(help="Dark current, electrons per second.")] = 1.0,
+    read_noise_e: Annotated[float, Parameter(help="Standard deviation of the read noise, electrons.")] = 2.0,
+    bits: Annotated[Whole, Parameter(help="Bits of a count, 16 at most.")] = 12,
+    black_level: Annotated[Whole, Parameter(help="Count of a pixel without electrons.")] = 64,
+    seed: Annotated[Whole, Parameter(help="Seed of the noise.")] = 0,
 ) -> int:
     """Add what a detector counts: photons, wells, noise and conversion. The image of the run stays as it is."""
     with defer_interrupt():
@@ -191,10 +196,10 @@ def expose(
     )
     image = runs.open_run(run)
     if bayer is not None and len(image.wavelengths_nm) == 1:
-        say_note("the image has a single wavelength: its mosaic tells brightness, not colour")
+        say_note("the image has a single wavelength, so its mosaic shows brightness, not colour")
     exposed = (detector.filling(image) if exposure_s is None else detector).expose(image)
     brightest, saturated = exposed.expected_e.max(), exposed.saturated.mean()
-    line = f"{exposed.detector.exposure_s:.3g} s: up to {brightest:.3g} electrons a pixel, {saturated:.2%} saturated."
+    line = f"{exposed.detector.exposure_s:.3g} s: up to {brightest:.3g} electrons per pixel, {saturated:.2%} saturated."
     print(wrapped(line))
     list_files(save_exposed(exposed, run))
     return 0

@@ -30,8 +30,10 @@ class Voxels:
 
     grid: Annotated[Path | None, Parameter(help="Voxel grid (.npz) with spacing_mm and origin_mm.")] = None
     counts: Annotated[tuple[Whole, Whole, Whole] | None, Parameter(help="Voxels along x, y, z, with --size-mm.")] = None
-    size_mm: Annotated[Triple | None, Parameter(help="Edges of the box of voxels.")] = None
-    position_mm: Annotated[Triple, Parameter(help="Where the box or grid has its origin; a box its middle.")] = (
+    size_mm: Annotated[Triple | None, Parameter(help="Edge lengths of the box of voxels, mm.")] = None
+    position_mm: Annotated[
+        Triple, Parameter(help="Position of the middle of the box, or of the grid's origin, mm.")
+    ] = (
         0.0,
         0.0,
         0.0,
@@ -53,22 +55,22 @@ def matrix(
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="File to write: .npz, or .h5 with h5py.")],
     voxels: Voxels | None = None,
-    channel: Annotated[Whole, Parameter(help="Number of the wavelength or band; one matrix each.")] = 0,
+    channel: Annotated[Whole, Parameter(help="Index of the wavelength or band, from 0; each has its own matrix.")] = 0,
     threshold: Annotated[
-        float, Parameter(help="Entries below this share of the largest one of their pixel are dropped.")
+        float, Parameter(help="Drop entries below this share of the largest entry of their pixel.")
     ] = 1e-6,
     absorption: Annotated[
-        bool, Parameter(help="Take from the entries what the scene's media absorb and scatter.")
+        bool, Parameter(help="Reduce the entries by absorption and scattering in the scene's media.")
     ] = False,
     inside: Annotated[
-        str | None, Parameter(help='Body of glass or liquid that the grid is in, such as "tanks[0] liquid".')
+        str | None, Parameter(help='Glass or liquid body that contains the grid, such as "tanks[0] liquid".')
     ] = None,
     overrides: Overrides | None = None,
 ) -> int:
     """Write what every pixel detects of every voxel of an emitting grid: a sparse matrix with standard errors.
 
-    The same command goes on with one that was cut short, to the same bits. In the end it says what the camera
-    resolves along the axes of the box, and how many features of a volume stand out of noise of 1 %.
+    The same command continues an interrupted one, to the same bits. At the end it prints the camera's resolution along
+    the axes of the box, and the number of features of a volume that stand out of noise of 1 %.
     """
     with defer_interrupt():
         from lfmesh.files.matrix import blocks_folder, finished_blocks, write_projection_matrix
@@ -96,10 +98,10 @@ def _print_resolution(out: Path) -> None:
     from lfmesh.scene.memory import fits_into_memory
 
     if not fits_into_memory(COPIES * out.stat().st_size):
-        print(wrapped("too large for this machine's memory to find what the camera resolves"))
+        print(wrapped("too large for this machine's memory: the resolution was not computed"))
         return
     with status() as report:
-        report("finding what the camera resolves")
+        report("computing the resolution")
         message = resolution_message(open_projection_matrix(out))
     print(wrapped(message), flush=True)
 
@@ -110,8 +112,8 @@ def _box(given: Voxels) -> "VoxelBox":
 
     if given.grid is not None:
         if given.counts is not None or given.size_mm is not None:
-            raise LfmeshError(f"--grid {given.grid} says itself where its voxels lie: leave out --counts and --size-mm")
+            raise LfmeshError(f"--grid {given.grid} has its own counts and size: omit --counts and --size-mm")
         return VoxelBox.of(read_box(given.grid), given.position_mm, given.rotation_deg)
     if given.counts is None or given.size_mm is None:
-        raise LfmeshError("a matrix needs --grid with a file, or --counts and --size-mm of a box")
+        raise LfmeshError("no voxels given: give --grid with a file, or --counts and --size-mm of a box")
     return VoxelBox.of_size(given.counts, given.size_mm, given.position_mm, given.rotation_deg)

@@ -46,7 +46,7 @@ def optimise(
             if not found.complete:
                 say_note("stopped; the best camera so far is written")
             if found.violated:
-                say_note(f"the best camera found does not keep all limits: {'; '.join(found.violated)}")
+                say_note(f"the best camera found breaks limits: {'; '.join(found.violated)}")
             list_files(paths)
     except KeyboardInterrupt:
         return code_of_last()

@@ -20,16 +20,18 @@ def _whole(_: object, tokens: Sequence[cyclopts.Token]) -> int:
     try:
         return int(tokens[0].value)
     except ValueError:
-        raise ValueError(f'"{tokens[0].value}" is no whole number') from None
+        raise ValueError(f'"{tokens[0].value}" is not a whole number') from None
 
 
 Whole = Annotated[int, Parameter(converter=_whole, n_tokens=1)]
 
 SceneFile = Annotated[Path, Parameter(name="scene", help="Scene file (TOML).")]
-Dask = Annotated[str | None, Parameter(help='Address of a dask scheduler, or "local": work on its workers.')]
-Shard = Annotated[str | None, Parameter(help="Only a share of the work: 1/3, 2/3 or 3/3.")]
+Dask = Annotated[
+    str | None, Parameter(help='Run on the workers of a dask cluster: the address of its scheduler, or "local".')
+]
+Shard = Annotated[str | None, Parameter(help="Do only one share of the work, such as 1/3, 2/3 or 3/3.")]
 Verbose = Annotated[
-    bool, Parameter(help="Also print how well the light is aimed, what diffraction would blur, and the work done.")
+    bool, Parameter(help="Also print how well the light is aimed, the blur by diffraction, and the work done.")
 ]
 RunFolder = Annotated[Path, Parameter(name="run", help="Run folder of a light-field camera, from lfmesh render.")]
 
@@ -42,7 +44,7 @@ def share_of(text: str | None) -> tuple[int, int] | None:
     if found is not None and int(found[1]) > int(found[2]):
         raise LfmeshError(f"--shard {text}: there is no share {found[1]} of {found[2]}; write the number first: 1/3")
     if found is None or int(found[1]) < 1:
-        raise LfmeshError(f'--shard {text}: give the number of a share and how many there are, such as "1/3"')
+        raise LfmeshError(f'--shard {text}: give the share\'s number and the number of shares, such as "1/3"')
     return int(found[1]), int(found[2])
 
 
@@ -52,12 +54,15 @@ class Overrides:
     """Settings that replace those of the scene's [transport] table."""
 
     samples: Annotated[
-        Whole | None, Parameter(help="Samples per pixel, in all; 4 times as many at least halve the noise.")
+        Whole | None, Parameter(help="Total samples per pixel; 4 times as many at least halve the noise.")
     ] = None
     target_error: Annotated[
-        float | None, Parameter(help="Relative standard error up to which noisy pixels get more samples, as 0.05.")
+        float | None,
+        Parameter(help="Give noisy pixels more samples until their relative standard error is this, such as 0.05."),
     ] = None
-    max_samples: Annotated[Whole | None, Parameter(help="With --target-error: per pixel, in all, at most.")] = None
+    max_samples: Annotated[Whole | None, Parameter(help="With --target-error: largest total of samples per pixel.")] = (
+        None
+    )
     method: Annotated[
         Literal["adjoint", "forward"] | None,
         Parameter(help="adjoint: from the sensor to the light; forward: from the light to the sensor."),
@@ -70,7 +75,7 @@ class Overrides:
     ] = None
     surface: Annotated[
         Literal["exact", "flat", "smooth", "patch"] | None,
-        Parameter(help="What a facet of a lens stands for."),
+        Parameter(help="Tracing of the lens's facets: exact surface, flat, smooth normals, or curved patch."),
     ] = None
     split: Annotated[
         Literal["both", "roulette", "transmit"] | None,
@@ -79,20 +84,24 @@ class Overrides:
     diffraction: Annotated[
         Literal["none", "lenslets", "stop"] | None,
         Parameter(
-            help="Light spreads behind each lenslet as behind its aperture, behind the stop of a camera without an "
-            "array, or not at all."
+            help="Trace diffraction at each lenslet's aperture, at the stop of a camera without an array, or not at "
+            "all."
         ),
     ] = None
     replicates: Annotated[
         Whole | None,
         Parameter(
-            help="Independent parts of the samples; their spread is the standard error. 8 if neither this nor the "
-            "scene says, 4 with split transmit."
+            help="Independent parts of the samples, whose spread gives the standard error (default: 8, or 4 with "
+            "split transmit)."
         ),
     ] = None
-    seed: Annotated[Whole | None, Parameter(help="Of the random numbers.")] = None
-    threads: Annotated[Whole | None, Parameter(help="0: all cores; the result is the same for any number.")] = None
-    wavelengths_nm: Annotated[list[float] | None, Parameter(help="One or more, nm.", consume_multiple=True)] = None
+    seed: Annotated[Whole | None, Parameter(help="Seed of the random numbers.")] = None
+    threads: Annotated[
+        Whole | None, Parameter(help="Number of threads; 0 uses all cores. The result does not depend on it.")
+    ] = None
+    wavelengths_nm: Annotated[
+        list[float] | None, Parameter(help="One or more wavelengths, nm.", consume_multiple=True)
+    ] = None
 
     def given(self) -> dict[str, Any]:
         """Return the settings that the user gave."""
@@ -109,8 +118,8 @@ def overridden(scene: "Scene", overrides: Overrides | None) -> "Scene":
         raise SceneError(_as_options(str(error))) from None
     if "max_samples" in changes and changed.transport.target_error is None:
         raise SceneError(
-            f"--max-samples = {changes['max_samples']}: changes nothing without --target-error, up to which pixels get "
-            "more samples; give both, or --samples alone"
+            f"--max-samples = {changes['max_samples']}: has no effect without --target-error; give both, or "
+            "--samples alone"
         )
     return changed
 

@@ -28,15 +28,19 @@ def psf(
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for spread.exr, spread.png and spread.json.")],
     point_mm: Annotated[
-        tuple[float, float, float], Parameter(help="x, y and z of the point in the camera frame; z below 0.")
+        tuple[float, float, float], Parameter(help="x, y and z of the point in the camera frame, mm; z below 0.")
     ],
     wavelengths_nm: Annotated[
-        list[float] | None, Parameter(help="One or more, summed evenly.", consume_multiple=True)
+        list[float] | None, Parameter(help="One or more wavelengths, nm, equally weighted.", consume_multiple=True)
     ] = None,
-    band: Annotated[str | None, Parameter(help="A band of the sensor by its name, in place of wavelengths.")] = None,
-    window: Annotated[Whole | None, Parameter(help="Pixels on a side about the light; else the whole sensor.")] = None,
-    oversample: Annotated[Whole, Parameter(help="Parts along each side of a pixel.")] = 1,
-    tolerance: Annotated[float | None, Parameter(help="Change of the picture at which grids are fine enough.")] = None,
+    band: Annotated[str | None, Parameter(help="Name of a sensor band, in place of wavelengths.")] = None,
+    window: Annotated[
+        Whole | None, Parameter(help="Pixels along each side of a window around the light (default: the whole sensor).")
+    ] = None,
+    oversample: Annotated[Whole, Parameter(help="Subdivisions along each side of a pixel.")] = 1,
+    tolerance: Annotated[
+        float | None, Parameter(help="Stop refining when the picture changes by less than this share of its light.")
+    ] = None,
 ) -> int:
     """Compute the sensor's picture of a point of 1 W/sr, with diffraction and interference of lenslets.
 
@@ -48,7 +52,7 @@ def psf(
         from lfmesh.waves.point_spread import TOLERANCE, point_spread
     loaded = load(scene)
     if band is not None and wavelengths_nm is not None:
-        raise LfmeshError(f"--band {band}: leave --wavelengths-nm out, or the band")
+        raise LfmeshError(f"--band {band}: omit --wavelengths-nm, or the band")
     if band is not None and band not in loaded.channel_names:
         known = (
             f"must be one of {', '.join(loaded.channel_names)}" if loaded.channel_names else "the scene has no bands"

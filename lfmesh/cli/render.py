@@ -93,7 +93,7 @@ More examples:
 
     lfmesh render scene.toml -o run/ --samples 256 --threads 4 --verbose
     lfmesh render scene.toml -o run/ --wavelengths-nm 486.1 587.6 656.3
-    lfmesh render --resume run/      go on with a render that was cut short
+    lfmesh render --resume run/      continue an interrupted render
     lfmesh render scene.toml -o run/ --restart
     lfmesh render scene.toml -o a/ --shard 1/3
     lfmesh render --merge a/ b/ c/ -o run/
@@ -105,39 +105,38 @@ def render(
     /,
     *,
     out: Annotated[
-        Path | None, Parameter(name=["--out", "-o"], help="Run folder to write: new, empty or an older run.")
+        Path | None,
+        Parameter(name=["--out", "-o"], help="Run folder to write: new, empty, or an older run to replace."),
     ] = None,
     resume: Annotated[
-        Path | None, Parameter(help="Run folder of a render that was cut short or killed: go on with it.")
+        Path | None, Parameter(help="Continue the interrupted or killed render in this run folder.")
     ] = None,
-    restart: Annotated[
-        bool, Parameter(help="Begin anew where a render into --out was cut short: what it kept is lost.")
-    ] = False,
+    restart: Annotated[bool, Parameter(help="Discard an interrupted render in --out and start again.")] = False,
     with_white: Annotated[
-        bool, Parameter(name="--white", help="Also do what lfmesh white does, for decoding.")
+        bool, Parameter(name="--white", help="Also render the white image for decoding, as lfmesh white does.")
     ] = False,
     dask: Dask = None,
     shard: Shard = None,
     merge: Annotated[
         list[Path] | None,
-        Parameter(help="Folders of the shares of a render: put them together.", consume_multiple=True),
+        Parameter(help="Combine these folders of shares into one run.", consume_multiple=True),
     ] = None,
     verbose: Verbose = False,
     overrides: Overrides | None = None,
 ) -> int:
     """Render a scene into a run folder: raw.exr with its standard error, previews, report.json.
 
-    Ctrl-C keeps the replicates that are finished as a valid run, marked as incomplete. --resume goes on with it, or
-    with what a render that was killed had kept, to the same bits as without the break.
+    Ctrl-C keeps the finished replicates as a valid run, marked as incomplete. --resume continues such a run, or one
+    that was killed, to the same bits as without the break.
 
-    --shard traces a part on this machine, and --merge makes the run of all parts; --dask divides the work among the
-    workers of a cluster. The bits are those of a single machine.
+    --shard traces one part of the samples here, and --merge combines the parts into a run; --dask divides the work
+    among the workers of a cluster. The bits are those of a single machine.
     """
     ways = {"--resume": resume, "--merge": merge, "--shard": shard, "--dask": dask}
     if len(given := [name for name, value in ways.items() if value is not None]) > 1:
-        raise LfmeshError(f"{' and '.join(given)} do not go together: give one of them")
+        raise LfmeshError(f"{' and '.join(given)} cannot be combined: give one of them")
     if restart and given and dask is None:
-        raise LfmeshError(f"--restart begins a render anew: leave it out beside {given[0]}")
+        raise LfmeshError(f"--restart cannot be combined with {given[0]}: omit it")
     if merge is not None:
         code = _merged(merge, scene, out, overrides, with_white=with_white, verbose=verbose)
         return _white(out, None) if with_white and out is not None and code == 0 else code
@@ -149,7 +148,7 @@ def render(
         raise LfmeshError(f"render needs {missing}: lfmesh render scene.toml -o run/, or lfmesh render --resume run/")
     if (share := share_of(shard)) is not None:
         if with_white:
-            raise LfmeshError("--white is for the whole run: give it with --merge")
+            raise LfmeshError("--white needs the whole run: give it with --merge")
         return _share(scene, out, share, overrides)
     code = _render(scene, out, overrides, dask, restart=restart, with_white=with_white, verbose=verbose)
     return _white(out, None) if with_white and code == 0 else code
@@ -178,7 +177,7 @@ def _share(scene_file: Path, folder: Path, share: tuple[int, int], overrides: Ov
         count = trace_share(
             scene.pinned(), folder, number, shares, lambda done, total: say(f"{done} of {total} pieces")
         )
-    print(f"{folder} holds the {count} pieces of share {number}/{shares}; when all shares are there:")
+    print(f"{folder} holds the {count} pieces of share {number}/{shares}; when all shares are finished:")
     print(f"  lfmesh render --merge {folder} ... -o run/")
     return 0
 
@@ -193,7 +192,7 @@ def _merged(
         *(as_option(name) for name in (overrides.given() if overrides else {})),
     ]
     if beside:
-        raise LfmeshError(f"--merge takes scene and settings from the shares: leave out {', '.join(beside)}")
+        raise LfmeshError(f"--merge takes scene and settings from the shares: omit {', '.join(beside)}")
     if out is None:
         raise LfmeshError("--merge needs --out, the run folder to write: lfmesh render --merge a/ b/ -o run/")
     with defer_interrupt():
@@ -227,8 +226,8 @@ def _render(
     refuse_claimed(folder)
     if run.has_checkpoint(folder) and not restart:
         raise FileError(
-            f"{folder} holds a render that was cut short: lfmesh render --resume {folder} goes on with it; --restart "
-            "begins anew"
+            f"{folder} holds an interrupted render: continue it with lfmesh render --resume {folder}, or start again "
+            "with --restart"
         )
     if with_white:
         _refuse_undecodable(scene)
@@ -263,14 +262,14 @@ def _resume(
     threads = Overrides(threads=given.pop("threads", None))
     beside = [*(["a scene"] if scene else []), *(["--out"] if out else []), *(as_option(name) for name in given)]
     if beside:
-        raise LfmeshError(f"--resume takes scene and settings from the run: leave out {', '.join(beside)}")
+        raise LfmeshError(f"--resume takes scene and settings from the run: omit {', '.join(beside)}")
     with defer_interrupt():
         from lfmesh.files import checkpoint, image_file, run
         from lfmesh.files.claims import refuse_claimed
 
     refuse_claimed(folder)
     if run.is_complete(folder):
-        print(f"{folder} is complete: there is nothing to go on with.")
+        print(f"{folder} is complete: there is nothing to continue.")
         return 0
     run.prepare(folder)
     with run.rendering(folder):
@@ -315,7 +314,7 @@ def _traced(
     except KeyboardInterrupt:
         if not keep.written:
             raise
-        print(f"Stopped before a replicate was finished: lfmesh render --resume {folder} goes on with it.")
+        print(f"Stopped before a replicate was finished. Continue with lfmesh render --resume {folder}.")
         return code_of_last()
     return _told(image, folder, verbose=verbose)
 
@@ -330,7 +329,7 @@ def _told(image: "Image", folder: Path, *, verbose: bool) -> int:
         print(wrapped(line))
     print(_whereabouts(image, place))
     if not image.complete:
-        print(f"  lfmesh render --resume {folder} goes on with it.")
+        print(f"  Continue with lfmesh render --resume {folder}.")
     if place != folder:
         return WRONG_INPUT
     return 0 if image.complete else code_of_last()
@@ -351,9 +350,7 @@ def _saved(image: "Image", folder: Path) -> Path:
     except (OSError, FileError):
         with suppress(OSError):
             other.rmdir()
-        kept = (
-            f"; lfmesh render --resume {folder} goes on from what is kept there" if run.has_checkpoint(folder) else ""
-        )
+        kept = f"; lfmesh render --resume {folder} continues from there" if run.has_checkpoint(folder) else ""
         raise FileError(f"{folder}: the run cannot be saved: {why}, nor in {other.parent}{kept}") from None
     say_note(f"{folder}: the run cannot be saved: {why}. It is in {other}; move it from there.")
     return other
@@ -371,7 +368,7 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
     if run.scene_is_edited(folder):
         say_note(
             f"{folder / run.SCENE} was edited since it was rendered; the white image is of the camera of {run.RAW}, "
-            "which it is to divide"
+            "so that it can divide it"
         )
     calibration = calibrate(scene)
     with progress() as report:
@@ -385,7 +382,7 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
     )
     try:
         error = estimate_centres(image).error_px(calibration)
-        print(f"Found on the white image alone, they are {error.mean():.3g} pixels off on average.")
+        print(f"Found from the white image alone, they are {error.mean():.3g} pixels off on average.")
     except LfmeshError as fault:
         say_note(fault)
     list_files([folder / name for name in (run.WHITE, run.WHITE_PREVIEW, run.CALIBRATION)])
@@ -395,9 +392,9 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
 def _whereabouts(image: "Image", folder: Path) -> str:
     from lfmesh.files import run
 
-    pictures = [(run.PREVIEW, "the raw image, upright"), (run.RAW, "power and standard error, W a pixel")]
+    pictures = [(run.PREVIEW, "the raw image, upright"), (run.RAW, "power and standard error, W per pixel")]
     if image.scene.camera.mla is not None:
-        pictures.insert(0, (run.VIEW, "the picture that the camera saw"))
-    pictures.append((run.REPORT, "all the numbers"))
+        pictures.insert(0, (run.VIEW, "the scene as the camera sees it"))
+    pictures.append((run.REPORT, "all figures of the run"))
     width = max(len(str(folder / name)) for name, _ in pictures)
     return "\n".join(f"  {folder / name!s:<{width}}  {what}" for name, what in pictures)

@@ -25,7 +25,7 @@ More examples:
 
     lfmesh study study.toml --dry-run
     lfmesh study study.toml -o out/
-    lfmesh study study.toml -o out/          again: go on where it stopped
+    lfmesh study study.toml -o out/          again: continues where it stopped
     lfmesh study study.toml -o a/ --shard 1/3
     lfmesh study merge study.toml a/ b/ c/ -o out/
     lfmesh study study.toml -o out/ --dask tcp://10.0.0.1:8786
@@ -42,13 +42,15 @@ def study(
     /,
     *,
     out: Annotated[
-        Path | None, Parameter(name=["--out", "-o"], help="Folder of the study; with --template the file to write.")
+        Path | None,
+        Parameter(name=["--out", "-o"], help="Folder of the study; with --template, the study file to write."),
     ] = None,
     dry_run: Annotated[bool, Parameter(help="List points, memory and time, and compute nothing.")] = False,
     template: Annotated[
-        str | None, Parameter(help="Write a study: assembly, manufacturing, packets-and-splits or sensor.")
+        str | None,
+        Parameter(help="Write a study file to start from: assembly, manufacturing, packets-and-splits or sensor."),
     ] = None,
-    workers: Annotated[Whole | None, Parameter(help="Processes; 0: this one alone.")] = None,
+    workers: Annotated[Whole | None, Parameter(help="Number of worker processes; 0 works in this process.")] = None,
     dask: Dask = None,
     shard: Shard = None,
     parquet: Annotated[bool, Parameter(help="Also write the table as Parquet.")] = False,
@@ -87,7 +89,7 @@ def merge(
     study: StudyPath,
     /,
     *folders: Annotated[Path, Parameter(help="Folders of the shares.")],
-    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for all of it.")],
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for the whole study.")],
     parquet: Annotated[bool, Parameter(help="Also write the table as Parquet.")] = False,
 ) -> int:
     """Put the shares of a study together; the table is bitwise that of a study that was not divided."""
@@ -125,10 +127,10 @@ def _plan(loaded: "Study", workers: int | None) -> int:
     for words in found.unknown:
         say_note(words)
     print(
-        f"{counted(found.points, 'point')}, {counted(found.units, 'unit')} in "
-        f"{found.workers} process{'' if found.workers == 1 else 'es'}, {', '.join(plan.metrics)}: about "
-        f"{duration(found.seconds)} ({duration(found.start_seconds)} to start, {plain(found.unit_seconds, 2)} s a "
-        f"camera in one process), {plain(found.bytes / 1e9, 2)} GB of memory"
+        f"{counted(found.points, 'point')}, {counted(found.units, 'unit')} in {found.workers} "
+        f"process{'' if found.workers == 1 else 'es'}, {', '.join(plan.metrics)}: about {duration(found.seconds)} "
+        f"({duration(found.start_seconds)} to start, {plain(found.unit_seconds, 2)} s per camera in one process), "
+        f"{plain(found.bytes / 1e9, 2)} GB of memory"
     )
     return 0
 
@@ -151,7 +153,7 @@ def progress_in_words(now: "Progress", things: str = "units", failing: str = "po
 
     words = f"{now.done} of {now.total} {things}"
     if now.new and now.seconds:
-        words += f", {60.0 * now.new / now.seconds:.3g} a minute"
+        words += f", {60.0 * now.new / now.seconds:.3g} per minute"
     if now.seconds_left is not None:
         words += f", {duration(now.seconds_left)} left"
     if now.failed:

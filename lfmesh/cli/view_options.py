@@ -18,18 +18,18 @@ class Launches:
         list[str] | None,
         Parameter(
             help='"field x,y,z", "pixel row,column", "pixels r:r,c:c", "light number", "run" or "none"; may be '
-            "repeated. Omitted: points of the plane in focus, refracted rays alone.",
+            "repeated. Default: points of the plane in focus, refracted rays only.",
         ),
     ] = None
-    count: Annotated[Whole | None, Parameter(help="Rays of each launch.")] = None
-    wavelength_nm: Annotated[float | None, Parameter(help="Of all rays; those of the scene, if omitted.")] = None
+    count: Annotated[Whole | None, Parameter(help="Number of rays per launch.")] = None
+    wavelength_nm: Annotated[float | None, Parameter(help="Wavelength of all rays, nm (default: the scene's).")] = None
     split: Annotated[
         Literal["both", "roulette", "transmit"] | None,
         Parameter(help="At an interface: follow both children, one by chance, or the refracted one."),
     ] = None
     weight_cutoff: Annotated[
         float | None,
-        Parameter(help="Weaker rays are ended at random, without bias; 1e-4 follows two-reflection ghosts."),
+        Parameter(help="End rays weaker than this at random, without bias; 1e-4 follows two-reflection ghosts."),
     ] = None
 
 
@@ -41,7 +41,9 @@ class Selection:
     filter: Annotated[
         str | None, Parameter(help='Paths to draw and report: "hits(mla) and not ghost", "reflects(L3b)", ...')
     ] = None
-    path: Annotated[Whole | None, Parameter(help="The one to draw and report, by its number in the table.")] = None
+    path: Annotated[Whole | None, Parameter(help="Number of the path in the table, to draw and report it alone.")] = (
+        None
+    )
 
     @property
     def expression(self) -> str | None:
@@ -59,16 +61,18 @@ class Looks:
 
     colour: Annotated[
         Literal["wavelength", "power", "events", "status", "path", "field"] | None,
-        Parameter(help="What the rays' colours mean: wavelengths, or where there is one, field points."),
+        Parameter(
+            help="Meaning of the rays' colours (default: wavelength, or field point if there is one wavelength)."
+        ),
     ] = None
     fade: Annotated[bool, Parameter(help="Draw rays with less power fainter.")] = False
-    preset: Annotated[
-        Literal["whole", "side", "object", "lens", "array", "sensor"], Parameter(help="Where to look from.")
-    ] = "whole"
+    preset: Annotated[Literal["whole", "side", "object", "lens", "array", "sensor"], Parameter(help="Viewpoint.")] = (
+        "whole"
+    )
     cut: Annotated[bool, Parameter(help="Cut lens and array along the axis; rays stay whole.")] = False
-    size: Annotated[str, Parameter(help="Of window and picture, in pixels.")] = "1600x1000"
+    size: Annotated[str, Parameter(help="Size of window and picture, in pixels.")] = "1600x1000"
     segments: Annotated[
-        Whole, Parameter(help="Of rays, drawn at most; beyond that whole paths are left out, evenly.")
+        Whole, Parameter(help="Largest number of ray segments drawn; above it, evenly chosen paths are left out.")
     ] = 20_000
 
 
@@ -82,7 +86,7 @@ class Reports:
     ghosts: Annotated[
         Path | None,
         Parameter(
-            help="Figure to write: ghosts by pair of reflecting surfaces; of field points the strongest are printed."
+            help="Figure to write: ghosts by pair of reflecting surfaces. For field points, prints the strongest."
         ),
     ] = None
 
@@ -96,7 +100,7 @@ class Files:
     """Files that the drawing is written to, in place of a window."""
 
     screenshot: Annotated[Path | None, Parameter(help="PNG to write, in place of a window.")] = None
-    html: Annotated[Path | None, Parameter(help="Page to write that turns in any browser, without a network.")] = None
+    html: Annotated[Path | None, Parameter(help="Interactive 3D page to write, for any browser, offline.")] = None
     gltf: Annotated[Path | None, Parameter(help="3D model to write (.glb).")] = None
 
 
@@ -105,9 +109,9 @@ class Files:
 class Serving:
     """Options for serving the browser's page."""
 
-    browser: Annotated[bool, Parameter(help="Show it on a page in the browser, with much more.")] = False
-    host: Annotated[str, Parameter(help="With --browser: the address that the page is served on.")] = "127.0.0.1"
-    port: Annotated[Whole, Parameter(help="With --browser; 0: a free one.")] = 0
+    browser: Annotated[bool, Parameter(help="Open an interactive page in the browser, with more tools.")] = False
+    host: Annotated[str, Parameter(help="With --browser: address to serve the page on.")] = "127.0.0.1"
+    port: Annotated[Whole, Parameter(help="With --browser: port; 0 takes a free one.")] = 0
     open_browser: Annotated[
         bool, Parameter(name="--open", negative="--no-open", help="With --browser: open the page in a browser.")
     ] = True

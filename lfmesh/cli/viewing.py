@@ -92,7 +92,7 @@ def _reported(reports: Reports, seen: Seen) -> tuple[list[str], list[Path]]:
     if not reports:
         return [], []
     if seen.all_rays is None or seen.rays is None:
-        raise LfmeshError('--rays none: there are no paths to report; leave it out, or give "field 0,0,-500", say')
+        raise LfmeshError('--rays none: there are no paths to report; omit it, or give "field 0,0,-500", for example')
     exact = exact_of(seen.all_rays) if reports.ghosts is not None else None
     table = path_table(seen.all_rays, exact).filtered(seen.chosen)
     lines = table.lines() if reports.table else []

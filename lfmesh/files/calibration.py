@@ -21,39 +21,39 @@ MOST_PIXELS = 2**31
 """More columns or rows than any sensor has."""
 
 ABOUT = (
-    "Where every micro-image of a light-field camera lies on its sensor, and the first-order optics that say what its "
-    "pixels mean. Pixel positions are [column, row] with the middle of the first pixel at [0, 0], as they lie on the "
-    "sensor and in raw.exr, not in upright pictures; arrays are indexed [row of lenslets][column of lenslets]. A "
-    "length that is infinite, as the exit pupil's of a telecentric lens, is null."
+    "Positions of the micro-images of a light-field camera on its sensor, and the first-order optics that give its "
+    "pixels directions. Pixel positions are [column, row] with the middle of the first pixel at [0, 0], as on the "
+    "sensor and in raw.exr, not in upright pictures; arrays are indexed [row of lenslets][column of lenslets]. An "
+    "infinite length, such as that of a telecentric lens's exit pupil, is null."
 )
 
 MEANINGS = {
-    "layout": ("", "Square lenslets in rows and columns, or hexagonal ones, whose odd rows stand half a pitch aside."),
-    "centres_px": ("pixel", "Centre of every micro-image: where the ray from the middle of the stop through the apex "
-                   "of its lenslet lands, or, from a white image, the middle of its light."),
-    "known": ("", "False for a lenslet that no such ray reaches, or that is dark; its centre is then continued from "
-              "the others by a polynomial."),
-    "kinds": ("", "Which of the focal lengths each lenslet has, counted from 0."),
+    "layout": ("", "Square lenslets in rows and columns, or hexagonal ones, with odd rows shifted by half a pitch."),
+    "centres_px": ("pixel", "Centre of every micro-image: the landing point of the ray from the middle of the stop "
+    "through the lenslet's apex or, from a white image, the middle of its light."),
+    "known": ("", "False for a lenslet that is dark or that no such ray reaches; its centre is then extrapolated from "
+    "the others by a polynomial."),
+    "kinds": ("", "Index of each lenslet's focal length, from 0."),
     "focal_lengths_mm": ("mm", "Focal length of each type of lenslet, in the medium around the array."),
-    "lenslet_pitch_mm": ("mm", "Distance of the centres of neighbouring lenslets, the error of the pitch included."),
+    "lenslet_pitch_mm": ("mm", "Distance of the centres of neighbouring lenslets, including the pitch error."),
     "pixel_mm": ("mm", "Width of a pixel."),
     "sensor_px": ("pixel", "Columns and rows of the sensor."),
-    "f_number": ("", "Of the main lens as it is focused: the exit pupil's distance from the array over its diameter."),
-    "microlens_f_number": ("", "Of the lenslets: their distance from the sensor over their pitch."),
-    "exit_pupil_z_mm": ("mm", "Where the image of the stop lies that the array sees, along the axis from the first "
-                        "vertex of the lens."),
-    "exit_pupil_diameter_mm": ("mm", "How wide that image is."),
+    "f_number": ("", "Working f-number of the main lens: distance of the exit pupil from the array over its diameter."),
+    "microlens_f_number": ("", "F-number of the lenslets: their distance from the sensor divided by their pitch."),
+    "exit_pupil_z_mm": ("mm", "Position of the exit pupil, the image of the stop that the array sees, along the axis "
+    "from the first vertex of the lens."),
+    "exit_pupil_diameter_mm": ("mm", "Diameter of the exit pupil."),
     "pupil_to_array_mm": ("mm", "From the exit pupil to the lenslets' front principal points: D."),
     "lenslet_to_sensor_mm": ("mm", "From the lenslets' rear principal points to the sensor, seen through the cover: "
                              "d. Neighbouring micro-images are (pitch/pixel)(D + d)/D pixels apart."),
-    "wavelength_nm": ("nm", "Of the light that was traced."),
-    "origin": ("", "Whether the centres were traced, or found on a white image."),
+    "wavelength_nm": ("nm", "Wavelength of the traced light."),
+    "origin": ("", "Source of the centres: traced, or found on a white image."),
 }  # fmt: skip
 """Unit and meaning of each field of `Calibration`."""
 
 DERIVED = {
     "pitch_px": ("pixel", "Mean distance of neighbouring micro-images, from all known centres."),
-    "rotation_rad": ("rad", "Turn of the rows of micro-images against those of the sensor, from columns to rows."),
+    "rotation_rad": ("rad", "Rotation of the rows of micro-images relative to the sensor's, from columns to rows."),
 }
 """Derived from the fields above; not read back."""
 
@@ -95,12 +95,12 @@ def read_calibration(path: Path) -> Calibration:
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
     except ValueError:
-        raise FileError(f"{path} is damaged or no calibration: it is not JSON") from None
+        raise FileError(f"{path} is damaged or not a calibration: it is not JSON") from None
     version = document.get("format") if isinstance(document, dict) else None
     if version != FORMAT:
         raise FileError(
             f"{path} has calibration format {version}; this lfmesh {lfmesh.__version__} reads {FORMAT}: older "
-            "ones do not say how their pixels lie; make it again with lfmesh white"
+            "ones do not state the order of their pixels; make it again with lfmesh white"
         )
     try:
         values = {name: document["fields"][name]["value"] for name in MEANINGS}

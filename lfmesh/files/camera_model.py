@@ -96,9 +96,9 @@ def check_model_path(path: Path) -> None:
         HDF5 needs h5py, which is missing.
     """
     if path.suffix.lower() not in (*OPENEXR, *HDF5):
-        raise FileError(f"{path}: a camera model ends in one of {', '.join((*OPENEXR, *HDF5))}")
+        raise FileError(f"{path}: a camera model must end in one of {', '.join((*OPENEXR, *HDF5))}")
     if not path.parent.is_dir() or path.is_dir():
-        why = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
+        why = "it is a folder" if path.is_dir() else f"the folder {path.parent} does not exist"
         raise FileError(f"{path} cannot be written: {why}")
     if path.suffix.lower() in HDF5:
         _h5py()
@@ -109,7 +109,7 @@ def _h5py() -> Any:
     try:
         return import_module("h5py")
     except ImportError:
-        raise LfmeshError('HDF5 needs h5py: pip install "lfmesh[data]", or take .exr') from None
+        raise LfmeshError('HDF5 needs h5py: pip install "lfmesh[data]", or use .exr') from None
 
 
 def _channels(model: CameraModel) -> Iterator[tuple[str, NDArray[np.floating]]]:

@@ -70,7 +70,7 @@ class Checkpoints:
             # A failed checkpoint must not end the render.
             reason = error.strerror or error
             place = self._folder / CHECKPOINT
-            warnings.warn(f"{place} cannot be written: {reason}; the render goes on", CheckpointWarning, stacklevel=2)
+            warnings.warn(f"{place} cannot be written: {reason}; the render continues", CheckpointWarning, stacklevel=2)
 
 
 def _settled(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -106,9 +106,9 @@ def read(folder: Path, scene_from: Callable[[dict[str, Any], Path], Scene]) -> C
         facts, arrays = read_sealed(folder / CHECKPOINT, FORMAT)
         return Checkpoint(scene_from(facts, folder), arrays)
     except FileNotFoundError:
-        raise FileError(f"{folder} has no checkpoint to go on from; render the scene again") from None
+        raise FileError(f"{folder} has no checkpoint to continue from; render the scene again") from None
     except FileError as error:
         why = str(error)
     except (ValueError, KeyError, TypeError):
         why = f"{folder / CHECKPOINT} is damaged"
-    raise FileError(f"{why}; begin anew with lfmesh render --restart, or delete {folder / CHECKPOINT}")
+    raise FileError(f"{why}; start again with lfmesh render --restart, or delete {folder / CHECKPOINT}")

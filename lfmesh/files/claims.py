@@ -91,7 +91,7 @@ def _claim(folder: Path) -> int | str | None:
 
 def _taken(folder: Path, owner: str) -> FileError:
     return FileError(
-        f"{folder}: process {owner} is rendering into it or saving a run there: wait for its end, or give another"
+        f"{folder}: process {owner} is rendering into it or saving a run there: wait until it ends, or give another"
         " folder"
     )
 

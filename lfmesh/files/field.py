@@ -100,5 +100,5 @@ def open_field(folder: Path) -> LightField | None:
         if field.data.shape[:4] != lengths:
             raise ValueError(f"its views are {field.data.shape[:4]}, its axes {lengths} long")
         if not all(np.isfinite(axis).all() for axis in axes.values()):
-            raise ValueError("its axes hold what is no finite number")
+            raise ValueError("its axes hold values that are not finite")
     return field

@@ -284,7 +284,7 @@ def commit(folder: Path, staging: Path, decide: Callable[[Manifest], Change]) ->
             {
                 "format": FORMAT,
                 "lfmesh_version": lfmesh.__version__,
-                "about": "Every file of this run with its size and SHA-256; what is not named here is not part of it.",
+                "about": "Every file of this run with its size and SHA-256; files not named here do not belong to it.",
                 "files": {name: entry._asdict() for name, entry in sorted(change.manifest.items())},
             },
         )

@@ -95,17 +95,17 @@ def _refuse_impossible(image: Image) -> None:
     columns, rows = image.scene.camera.sensor.pixels
     shape = (rows, columns, image.scene.channels)
     if image.mean.shape != shape:
-        raise ValueError(f"its pixels are {image.mean.shape}, and its scene's sensor has {shape}")
+        raise ValueError(f"its pixels are {image.mean.shape}, but its scene's sensor has {shape}")
     if not np.isfinite(image.mean).all() or (image.mean < 0.0).any():
-        raise ValueError("it has pixels that are negative, infinite or no number")
+        raise ValueError("it has pixels that are negative, infinite or not numbers")
     # A single replicate has no spread, so its error is NaN.
     if np.isinf(image.stderr).any() or (image.stderr < 0.0).any():
         raise ValueError("it has standard errors that are negative or infinite")
     for name, value in {"seconds": image.seconds, "samples": image.samples, **image.timings}.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"{name} is {value!r}, no number")
+            raise ValueError(f"{name} is {value!r}, not a number")
     if isinstance(image.replicates, bool) or not isinstance(image.replicates, int) or image.replicates < 0:
-        raise ValueError(f"replicates_finished is {image.replicates!r}, no count")
+        raise ValueError(f"replicates_finished is {image.replicates!r}, not a count")
     if not isinstance(image.engine, str) or not isinstance(image.coatings, dict):
         raise ValueError("engine or coatings are not what lfmesh writes")
 

@@ -42,7 +42,7 @@ def opened_here(path: str, flags: int) -> int:
     handle = os.open(path, flags | NO_LINK, 0o666)
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
-        raise OSError(errno.EINVAL, "it is no regular file", path)
+        raise OSError(errno.EINVAL, "it is not a regular file", path)
     return handle
 
 
@@ -107,7 +107,7 @@ class Inside:
         """
         mode = self._mode(name)
         if mode is not None and not stat.S_ISREG(mode):
-            raise FileError(f"{self.folder / name} is no regular file, as lfmesh writes it: delete it")
+            raise FileError(f"{self.folder / name} is not a regular file, as lfmesh writes it: delete it")
 
     def move(self, name: str, other: str) -> None:
         """Move a file, replacing any other; make the folders needed.

@@ -31,4 +31,4 @@ def parse_json(text: str | bytes) -> Any:
     try:
         return json.loads(text)
     except RecursionError:
-        raise ValueError("its lists or objects stand too deep in one another") from None
+        raise ValueError("its lists or objects are nested too deeply") from None

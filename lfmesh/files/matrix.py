@@ -88,7 +88,7 @@ def write_projection_matrix(
     path = Path(path)
     _check_ending(path)
     if not path.parent.is_dir() or path.is_dir():
-        why = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
+        why = "it is a folder" if path.is_dir() else f"the folder {path.parent} does not exist"
         raise FileError(f"{path} cannot be written: {why}")
     projector = Projector(scene.pinned(), grid, channel, threshold, absorption=absorption, inside=inside)
     chosen = pixels_of(projector, pixels)
@@ -98,13 +98,13 @@ def write_projection_matrix(
     # Blocks and the file itself stand beside each other until the file is whole.
     free = shutil.disk_usage(path.parent).free
     if 2.0 * size.bytes > free:
-        raise FileError(f"{path}: {size.words}, and while it is written twice that; {free / 1e9:.3g} GB are free")
+        raise FileError(f"{path}: {size.words}, and twice that while it is written; only {free / 1e9:.3g} GB are free")
     parts = blocks_folder(path)
     blocks = list(projector.blocks(chosen))
     with _told(path):
         done = _begin(parts, _facts(projector, chosen), len(blocks))
         if done and say is not None:
-            say(f"goes on after {done} of {len(blocks)} blocks that are there")
+            say(f"continues after {done} of {len(blocks)} finished blocks")
         finished = sum(len(block) for block in blocks[:done])
         for number, block in enumerate(computed(projector, blocks[done:]), start=done):
             with staged_file(parts, _name(number)) as file:
@@ -156,7 +156,7 @@ def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
     except FileNotFoundError:
         raise FileError(f"{path}: no such file") from None
     except Exception:  # numpy's and HDF5's readers may raise anything for a damaged file
-        raise FileError(f"{path} is no projection matrix, or damaged") from None
+        raise FileError(f"{path} is not a projection matrix, or is damaged") from None
 
 
 def _matrix(names: list[str], announced: Callable[[str], Header], read: Callable[[str], Any]) -> ProjectionMatrix:
@@ -218,7 +218,7 @@ def _header(array: Any) -> Header:
 
 def _check_ending(path: Path) -> None:
     if path.suffix.lower() not in (*NUMPY, *HDF5):
-        raise FileError(f"{path}: a projection matrix ends in one of {', '.join((*NUMPY, *HDF5))}")
+        raise FileError(f"{path}: a projection matrix must end in one of {', '.join((*NUMPY, *HDF5))}")
     if path.suffix.lower() in HDF5:
         _h5py()
 
@@ -227,7 +227,7 @@ def _h5py() -> Any:
     try:
         return import_module("h5py")
     except ImportError:
-        raise LfmeshError('HDF5 needs h5py: pip install "lfmesh[data]", or take .npz') from None
+        raise LfmeshError('HDF5 needs h5py: pip install "lfmesh[data]", or use .npz') from None
 
 
 @contextmanager
@@ -235,9 +235,7 @@ def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise FileError(
-            f"{path} cannot be written: {error.strerror or error}; blocks that are there are kept"
-        ) from None
+        raise FileError(f"{path} cannot be written: {error.strerror or error}; finished blocks are kept") from None
 
 
 def _name(number: int) -> str:
@@ -327,7 +325,7 @@ def _array(parts: Path, number: int, name: str) -> NDArray[Any]:
             array: NDArray[Any] = file[name]
             return array
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        raise FileError(f"{parts / _name(number)} is damaged; delete {parts}, and begin again") from None
+        raise FileError(f"{parts / _name(number)} is damaged; delete {parts}, and start again") from None
 
 
 def _write_npz(whole: Path, parts: Path, blocks: int, small: dict[str, Any], entries: int) -> None:

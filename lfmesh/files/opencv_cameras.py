@@ -20,7 +20,7 @@ FORMAT = 1
 """Version of the file format."""
 
 ABOUT = {
-    "cameras": "one pinhole a view, v and u as in lightfield.exr; view_v00_u00 is the highest and leftmost viewpoint",
+    "cameras": "one pinhole per view, v and u as in lightfield.exr; view_v00_u00 is the highest and leftmost viewpoint",
     "image_size": "width and height in samples; the middle of the first sample of a picture is at (0, 0)",
     "camera_matrix": "fx 0 cx, 0 fy cy, 0 0 1; in samples",
     "distortion_coefficients": "k1, k2, p1, p2, k3",

@@ -26,7 +26,7 @@ def prepare(folder: Path) -> None:
     """
     there = next((name for name in NAMES if (folder / name).exists()), None)
     if there is not None:
-        raise FileError(f"{folder / there} is there already: move it, or choose another folder")
+        raise FileError(f"{folder / there} already exists: move it, or choose another folder")
     try_folder(folder)
 
 

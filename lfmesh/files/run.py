@@ -48,7 +48,7 @@ from lfmesh.scene.inputs import COPIES
 from lfmesh.scene.literals import shown_path
 from lfmesh.transport.render.image import Image
 
-WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of what the camera saw"}
+WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of the scene"}
 """Faults of runs in older formats, and of files derived from them, by format."""
 
 RAW, REPORT, SCENE = "raw.exr", "report.json", "scene.toml"
@@ -193,7 +193,7 @@ def open_run(folder: str | os.PathLike[str]) -> Image:
     metadata = spectral.metadata
     refuse_damage(path / RAW, spectral)
     if metadata["pixels_sha256"] != report.get("pixels_sha256"):
-        raise FileError(f"{path} mixes two runs, {RAW} and {REPORT} do not belong together; render it again")
+        raise FileError(f"{path} mixes two runs: {RAW} and {REPORT} do not belong together; render it again")
     _refuse_change(path, REPORT)
     return image_from(spectral, path / RAW)
 
@@ -300,8 +300,8 @@ def report_of(path: Path) -> dict[str, Any]:
     _check_folder(path)
     missing = [name for name in (RAW, REPORT) if not (path / name).is_file()]
     if missing:
-        mended = f"lfmesh render --resume {path} goes on with it" if has_checkpoint(path) else "render it again"
-        raise FileError(f"{path} is no complete run: {' and '.join(missing)} missing; {mended}")
+        mended = f"lfmesh render --resume {path} continues it" if has_checkpoint(path) else "render it again"
+        raise FileError(f"{path} is not a complete run: {' and '.join(missing)} missing; {mended}")
     report = _read_report(path)
     if report is None:
         raise FileError(f"{path / REPORT} is damaged or not a report of lfmesh; render the scene again")
@@ -325,7 +325,7 @@ def _check_folder(path: Path) -> None:
     except OSError as error:
         why = str(error.strerror)
     if why is not None:
-        raise FileError(f"{path} is no run folder: {why}")
+        raise FileError(f"{path} is not a run folder: {why}")
 
 
 def is_complete(path: Path) -> bool:
@@ -365,7 +365,7 @@ def _refuse_change(folder: Path, name: str) -> None:
     Parsers may do anything on a few wrong bits.
     """
     if saved(folder, name) is None:
-        raise FileError(f"{folder / MANIFEST} does not name {name}, without which there is no run; render it again")
+        raise FileError(f"{folder / MANIFEST} does not name {name}, which every run needs; render it again")
 
 
 @contextmanager
@@ -407,9 +407,9 @@ def _refuse_unwritable_name(path: Path) -> None:
         path.absolute().as_posix().encode("utf-8")
     except UnicodeEncodeError:
         shown = os.fsencode(path).decode("utf-8", errors="backslashreplace")
-        raise FileError(f"{shown} cannot be written: its path is no UTF-8; choose another folder") from None
+        raise FileError(f"{shown} cannot be written: its path is not UTF-8; choose another folder") from None
     if "\0" in str(path):
-        raise FileError(f"{shown_path(path)} cannot be written: a file's name holds no NUL character")
+        raise FileError(f"{shown_path(path)} cannot be written: a file name must not contain a NUL character")
 
 
 def _refuse_foreign(path: Path) -> None:

@@ -13,6 +13,6 @@ ENDING = ".toml"
 def save_scene(scene: Scene, path: Path) -> Path:
     """Write a scene file; see `lfmesh.files.run.save`."""
     if path.suffix.lower() != ENDING:
-        raise FileError(f"{path}: a scene file ends in {ENDING}; give it such a name")
+        raise FileError(f"{path}: a scene file must end in {ENDING}")
     write_whole(path, within(scene, path.parent).dump_toml())
     return path

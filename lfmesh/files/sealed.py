@@ -99,7 +99,7 @@ def unsealed(file: IO[bytes], form: int, what: str) -> tuple[dict[str, Any], Arr
         _refuse_packed(file)
         with np.load(file, allow_pickle=False) as held:
             if not held[_FACTS].ndim:
-                raise FileError(f"{what} was written by an older lfmesh, which may have had other bits")
+                raise FileError(f"{what} was written by an older lfmesh, whose bits may differ")
             digest, text = (str(entry) for entry in held[_FACTS])
             stated = parse_json(text)
             if hashlib.sha256(text.encode()).hexdigest() != digest:
@@ -154,8 +154,8 @@ def refuse_maker(what: str, form: int, found: object, maker: object) -> None:
     """
     if other := f"format {found} in place of {form}" if found != form else difference(maker):
         raise FileError(
-            f"{what} was written by another program ({other[:200]}), which may have had other bits: begin anew "
-            "elsewhere, or go on with that program"
+            f"{what} was written by another program ({other[:200]}), whose bits may differ: start again elsewhere, "
+            "or continue with that program"
         )
 
 

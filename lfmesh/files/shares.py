@@ -115,8 +115,8 @@ def trace_share(
     """
     if scene.transport.target_error is not None:
         raise LfmeshError(
-            "transport.target_error: where noisy pixels get more samples is known when all shares are done: leave it "
-            "out, or take --dask"
+            "transport.target_error: the pixels that need more samples are known only when all shares are done: omit "
+            "it, or use --dask"
         )
     cut = Cut.of(scene, shares)
     _begin(folder, cut)
@@ -135,8 +135,7 @@ def trace_share(
                     write_sealed(file, FORMAT, cut.facts_of(job), arrays)
             except OSError as error:
                 raise FileError(
-                    f"{folder / PIECES / name} cannot be written: {error.strerror or error}; pieces that are there are "
-                    "kept"
+                    f"{folder / PIECES / name} cannot be written: {error.strerror or error}; finished pieces are kept"
                 ) from None
     if progress is not None:
         progress(len(mine), len(mine))
@@ -196,7 +195,7 @@ def _begin(folder: Path, cut: Cut) -> None:
         if not (folder / FACTS).exists():
             others = [path.name for path in folder.iterdir() if path.name != PIECES]
             if others:
-                raise FileError(f"{folder} holds {others[0]}, no share of a render: give a new folder")
+                raise FileError(f"{folder} holds {others[0]}, not a share of a render: give a new folder")
             facts: dict[str, Any] = {"cut": cut.facts, **scene_metadata(cut.scene, folder)}
             facts[SEAL] = _seal(facts)
             with staged_file(folder, FACTS) as file:
@@ -207,7 +206,7 @@ def _begin(folder: Path, cut: Cut) -> None:
     if _facts(folder)["cut"] != cut.facts:
         raise FileError(
             f"{folder} holds pieces of another render: the scene, a file that it reads, its settings or the number of "
-            "shares have changed since; give another folder, or put back what it was"
+            "shares have changed since; give another folder, or restore the original"
         )
 
 

@@ -33,14 +33,14 @@ BEFORE_LENS = {
 BEYOND_LENS = "beyond the lens"
 
 WITHOUT_PLACE = {
-    BEYOND_LENS: "got out of it",
+    BEYOND_LENS: "left through the front",
     "sensor": "reached the sensor",
     "beside the sensor": "fell beside the sensor",
     "escaped": "left the scene",
     "rounding": "was lost to rounding",
-    "reflections not followed": "went into reflections that are not followed",
-    "étendue of thin lenses": "went with étendue that thin lenses do not keep",
-    "diffracted beyond a right angle": "was diffracted beyond a right angle",
+    "reflections not followed": "went into untraced reflections",
+    "étendue of thin lenses": "was lost because thin lenses do not conserve étendue",
+    "diffracted beyond a right angle": "was diffracted by more than a right angle",
 }
 """Words for ledger entries that are not bodies."""
 
@@ -132,7 +132,9 @@ def _untraced(image: Image) -> list[str]:
     light, total = image.ledger.untraced, float(image.mean.sum())
     if not light > 0.0:
         return []
-    return [f"Particles bring {light:.3g} W, {percent(light / total)} of the picture's light, by point spreads."]
+    return [
+        f"Particles, pictured by point spreads, bring {light:.3g} W, {percent(light / total)} of the picture's light."
+    ]
 
 
 def diffraction(scene: Scene) -> dict[str, float | None]:
@@ -148,7 +150,7 @@ def _diffraction(scene: Scene) -> list[str]:
     mla = facts.microlens_airy_disk_px is not None
     width = f"{plain(facts.airy_disk_samples, 2)} {'lenslets' if mla else 'pixels'} wide"
     if scene.transport.diffraction == "lenslets":
-        return [f"Diffraction is traced at the lenslets, and not at the lens, whose Airy disk is {width}."]
+        return [f"Diffraction is traced at the lenslets only; the lens's Airy disk is {width}."]
     if scene.transport.diffraction == "stop":
         return [f"Diffraction is traced at the stop: the lens's Airy disk is {width}."]
     widths = [f"the lens's Airy disk is {width}"]
@@ -167,11 +169,11 @@ def _aim(image: Image) -> list[str]:
     if blind is None or not blind.agrees:
         return []
     if image.scene.rough_in_camera():
-        return ["Rays go anywhere on the lens, as surfaces of the camera scatter light."]
+        return ["Rays go to the whole lens, because surfaces of the camera scatter light."]
     if proof is None and image.scene.camera.lens.has_meshes:
         return ["The aim is not proven."]
     if proof is None:
-        return ["The aim is not proven, as no ray from the stop could be traced to the sensor."]
+        return ["The aim is not proven, because no ray from the stop could be traced to the sensor."]
     said = f"The aim misses {percent(proof.missed)} ± {percent(max(proof.sensor.error, proof.objects.error))}"
     said += " of the light through the stop"
     if proof.diffracted is not None:
@@ -186,10 +188,13 @@ def _unaimed(image: Image) -> list[str]:
         return []
     paths = "Unaimed samples" if image.scene.transport.method == "adjoint" else "Paths traced back from some pixels"
     if blind.smallest_deficit is None:
-        return [f"{paths} are too few to tell whether light is missing."]
+        return [f"{paths} are too few to show whether light is missing."]
     rows, columns = blind.blocks
     least = percent(blind.smallest_deficit)
-    return [f"{paths} found no missing light in {rows} × {columns} blocks (each would show losses above {least})."]
+    return [
+        f"{paths} found no light missing in {rows} × {columns} blocks; in each they would have shown a loss above "
+        f"{least}."
+    ]
 
 
 def _order(image: Image) -> list[str]:
@@ -198,7 +203,7 @@ def _order(image: Image) -> list[str]:
     if order is None or not order.holds:
         return []
     return [
-        f"Surfaces in their order and by meshes agree on {order.compared:,} test paths (largest difference "
+        f"Sequential and mesh tracing agree on {order.compared:,} test paths (largest difference "
         f"{order.deviation_mm:.1e} mm)."
     ]
 
@@ -219,8 +224,8 @@ def where_the_light_went(image: Image) -> list[str]:
     total = sum(ends.values())
     if total <= 0.0 and ledger.lamps is not None and ledger.lamps.emitted > 0.0:
         return [
-            f"Only particles shine: {percent(ledger.lamps.sensor / ledger.lamps.emitted)} of their light came to"
-            " the sensor."
+            f"Only particles emit: {percent(ledger.lamps.sensor / ledger.lamps.emitted)} of their light reached the "
+            "sensor."
         ]
     if total <= 0.0 and ledger.untraced > 0.0:
         return []
@@ -232,10 +237,10 @@ def where_the_light_went(image: Image) -> list[str]:
     to_lens = {name: share for name, share in ends.items() if name not in BEFORE_LENS}
     came = sum(to_lens.values())
     if not came > 0.0:
-        return [_reached(image), f"None of them came to the lens: {_shares(image, ends)}."]
+        return [_reached(image), f"None of them reached the lens: {_shares(image, ends)}."]
     in_lens = {name: share for name, share in to_lens.items() if name not in _outside(image.scene)}
     out = {BEYOND_LENS: came - sum(in_lens.values())}
-    lens = f"Of the {percent(came / total)} that came to the lens, {_shares(image, out | in_lens)}."
+    lens = f"{percent(came / total)} of the paths reached the lens; of these {_shares(image, out | in_lens)}."
     return [_reached(image), *_reasons(image), lens]
 
 
@@ -264,7 +269,7 @@ def _work(image: Image) -> str:
     line = f"Traced {count(ledger.packets)} packets and {count(ledger.events)} ray-surface events"
     line += f" in {duration(image.seconds)}"
     if image.seconds > 0.0:
-        line += f" ({count(ledger.events / image.seconds)} events a second)"
+        line += f" ({count(ledger.events / image.seconds)} events per second)"
     return f"{line}; {image.engine}." if image.engine else f"{line}."
 
 
@@ -277,13 +282,13 @@ def _noise_lines(image: Image, measured: Noise) -> list[str]:
     if measured.without_hits:
         lines.append(_without_hits(image, measured.without_hits))
     if measured.relative_error is None:
-        return [*lines, "How noisy it is cannot be told: that takes at least 2 finished replicates."]
+        return [*lines, "The noise is unknown: it takes at least 2 finished replicates."]
     if measured.relative_error[2] == 0.0:
         return [*lines, "Noise: none; every replicate gave the same picture."]
     quarter, half, most = (percent(error) for error in measured.relative_error)
     lines.append(
-        f"Noise: a quarter of the lit pixels are known to {quarter} or better, half to {half}, three quarters to {most}"
-        f" (one standard error); 4 times the samples, {4 * image.samples:g} a pixel, would at least halve that."
+        f"Noise: at most {quarter} (one standard error) in a quarter of the lit pixels, {half} in half, {most} in "
+        f"three quarters; 4 times the samples, {4 * image.samples:g} per pixel, would at least halve it."
     )
     if image.refinement is not None:
         lines.append(_refined(image.refinement))
@@ -293,22 +298,19 @@ def _noise_lines(image: Image, measured: Noise) -> list[str]:
 def _without_hits(image: Image, pixels: int) -> str:
     share = percent(pixels / (image.mean.shape[0] * image.mean.shape[1]))
     return (
-        f"No path found light for {pixels:,} pixels, {share}. Their value is 0; upper bounds are in image.upper."
+        f"{pixels:,} pixels, {share}, received no light. Their value is 0; upper bounds are in image.upper."
         if pixels > 1
-        else f"No path found light for 1 pixel, {share}. Its value is 0; its upper bound is in image.upper."
+        else f"1 pixel, {share}, received no light. Its value is 0; its upper bound is in image.upper."
     )
 
 
 def _refined(refinement: Refinement) -> str:
     line = (
-        f"Samples: {refinement.samples:.3g} a pixel on average; for a standard error of"
-        f" {percent(refinement.target_error)} {percent(refinement.refined_share)} of the pixels got more"
+        f"Samples: {refinement.samples:.3g} per pixel on average; {percent(refinement.refined_share)} of the pixels "
+        f"got more, for a standard error of {percent(refinement.target_error)}"
     )
     if refinement.capped_share > 0.0:
-        line += (
-            f", and {percent(refinement.capped_share)} would have needed more than max_samples ="
-            f" {refinement.max_samples}"
-        )
+        line += f", and {percent(refinement.capped_share)} need more than max_samples = {refinement.max_samples}"
     return f"{line}."
 
 
@@ -369,22 +371,20 @@ def _reached(image: Image) -> str:
         black = sum(ledger.absorbed.get(_in_ledger(scene, i), 0.0) for i in opaque)
         if black > 0.0:
             return (
-                f"{percent(black / ledger.emitted)} {paths} met a target from its black side, which neither emits nor "
+                f"{percent(black / ledger.emitted)} {paths} met the black side of a target, which neither emits nor "
                 "scatters; none reached another side."
             )
         if ledger.escaped <= 0.0:
-            return f"None {paths} reached a target, none even got out of the lens."
+            return f"None {paths} reached a target, or even left the lens."
         return (
             f"None {paths} reached a target; {percent(ledger.escaped / ledger.emitted)} left the lens and met nothing."
         )
     where = " and ".join(met) if len(met) <= MOST_TARGETS else f"{len(met)} targets"
     reached = f"{percent(ledger.reached_target / ledger.emitted)} {paths} reached {where or 'a target'}"
     if ledger.lit <= 0.0:
-        return f"{reached}, but found nothing there that emits or scatters light of a lamp."
-    facing = (
-        f"{reached}; {percent(ledger.lit / ledger.reached_target)} of those found a side that emits or faces a lamp"
-    )
-    return facing + ("." if image.mean.any() else ", but something stands before the lamp.")
+        return f"{reached}, but nothing there emits or scatters the light of a lamp."
+    facing = f"{reached}; {percent(ledger.lit / ledger.reached_target)} of these met a side that emits or faces a lamp"
+    return facing + ("." if image.mean.any() else ", but something blocks the lamp.")
 
 
 def _reasons(image: Image) -> list[str]:

@@ -103,7 +103,7 @@ def voxel_grid(
     spacing = _spacing(spacing_mm, where)
     unknown = [name for name in values if name not in QUANTITIES]
     if unknown:
-        raise FileError(f"{where}: no quantity is called {unknown[0]!r}; there are {', '.join(QUANTITIES)}")
+        raise FileError(f"{where}: unknown quantity {unknown[0]!r}; valid are {', '.join(QUANTITIES)}")
     arrays = {name: _real(array, name, where) for name, array in values.items()}
     shape = _common_shape({name: array.shape for name, array in arrays.items()}, where)
     checked = {name: _checked(array, name, where) for name, array in arrays.items()}
@@ -173,7 +173,7 @@ def _read_numpy(
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
     except MemoryError:
-        raise FileError(f"{path}: announces more numbers than there is memory for") from None
+        raise FileError(f"{path}: declares more numbers than fit into memory") from None
     except Exception as error:
         # numpy's and zipfile's readers may raise anything on a damaged file.
         why = " ".join(str(error).split())[:200] or type(error).__name__
@@ -201,7 +201,7 @@ def _refuse_unknown(names: Iterable[str], path: Path) -> None:
     """Raise if a file has an unknown array."""
     unknown = [name for name in names if name not in QUANTITIES + PLACE]
     if unknown:
-        raise FileError(f"{path}: no array is called {unknown[0]!r}; there are {', '.join((*QUANTITIES, *PLACE))}")
+        raise FileError(f"{path}: unknown array {unknown[0]!r}; valid are {', '.join((*QUANTITIES, *PLACE))}")
 
 
 def _check_beginning(path: Path, beginning: bytes) -> None:
@@ -218,21 +218,21 @@ def _refuse_place(held: Iterable[str], path: Path, spacing_mm: ArrayLike | None,
     """Raise if a position that the file holds is also given by the caller."""
     for key, given in (("spacing_mm", spacing_mm), ("origin_mm", origin_mm)):
         if key in held and given is not None:
-            raise FileError(f"{path}: holds {key} itself; leave it out beside the file")
+            raise FileError(f"{path}: holds {key} itself; omit it beside the file")
 
 
 def _common_shape(shapes: Mapping[str, tuple[int, ...]], where: str) -> tuple[int, ...]:
     """Return the shape shared by all quantities of a grid."""
     if not shapes:
-        raise FileError(f"{where}: holds no quantity; there are {', '.join(QUANTITIES)}")
+        raise FileError(f"{where}: holds no quantity; valid are {', '.join(QUANTITIES)}")
     for name, shape in shapes.items():
         if len(shape) != 3 or 0 in shape:
-            raise FileError(f"{where}: {name} must be an array [x, y, z], and has the shape {shape}")
+            raise FileError(f"{where}: {name} must be an array [x, y, z], but has the shape {shape}")
     if len({*shapes.values()}) > 1:
         different = ", ".join(str(shape) for shape in sorted({*shapes.values()}))
         raise FileError(f"{where}: its arrays differ in shape: {different}")
     if "emission_w_mm3_sr" in shapes and "temperature_k" in shapes:
-        raise FileError(f"{where}: emission_w_mm3_sr and temperature_k are both there; give one of them")
+        raise FileError(f"{where}: emission_w_mm3_sr and temperature_k are both given; give one of them")
     return next(iter(shapes.values()))
 
 

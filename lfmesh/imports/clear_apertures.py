@@ -54,7 +54,7 @@ def stop_radius_mm(prescription: Prescription, made: KeptSurfaces, paraxial: Par
         radius = at_stop / angle * behind * math.tan(math.asin(min(value / behind, 0.999))) if angle else math.inf
     elif kind == "object_na":
         if math.isinf(object_mm):
-            raise SceneError(f"{report.path}: an aperture of the object's side needs an object at a finite distance")
+            raise SceneError(f"{report.path}: an object-space aperture needs an object at a finite distance")
         sine = min(value / paraxial.indices[0], 0.999)
         radius = abs(paraxial.to_stop(Ray(object_mm, paraxial.indices[0])).height_mm) * math.tan(math.asin(sine))
     else:
@@ -122,7 +122,7 @@ def apertures_mm(
 def _end_at(reach: float, size: float, beam: float, surface: FileSurface, report: Report) -> None:
     """Report that a surface ends inside its clear aperture; refuse it if it ends inside the axial beam."""
     if beam < reach:
-        how = f"semi-diameter {size:.6g} mm: the surface ends {reach:.6g} mm from the axis, which is taken"
+        how = f"semi-diameter {size:.6g} mm: reduced to {reach:.6g} mm, where the surface ends"
         report.add(surface.line, surface.text, Verdict.APPROXIMATED, how)
     else:
         why = f"the surface ends {reach:.6g} mm from the axis, within the beam of {beam:.6g} mm radius"
@@ -189,7 +189,7 @@ def without_crossings(surfaces: list[dict[str, object]], made: KeptSurfaces, rep
         radius = _radius_of_contact(front, back, min(sizes))
         if radius == 0.0:
             first, second = made.kept[i : i + 2]
-            why = f"it crosses the next surface, line {second.line}, beside the axis; {front.thickness_mm:g} mm apart"
+            why = f"it crosses the next surface, line {second.line}, off the axis; {front.thickness_mm:g} mm apart"
             report.refuse(first.line, first.text, why)
         elif radius < min(sizes):
             for k in free:
@@ -200,7 +200,7 @@ def without_crossings(surfaces: list[dict[str, object]], made: KeptSurfaces, rep
             )
             drawn = [made.kept[k] for k in free if made.kept[k].extent]
             for surface in drawn:
-                report.add(surface.line, surface.text, Verdict.APPROXIMATED, f"{how}, within what the file draws")
+                report.add(surface.line, surface.text, Verdict.APPROXIMATED, f"{how}, limited to the drawn size")
             if not drawn:
                 report.notes.append(how)
     return surfaces

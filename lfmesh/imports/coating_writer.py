@@ -91,7 +91,7 @@ def _material(layer: Layer, notes: list[str]) -> tuple[str, ...]:
     else:
         lines = tuple(line for line in map(float, _TABLE_NM) if _has(layer.glass, line))
         if not lines:
-            raise SceneError(f"a coating's layer of {layer.glass}: the catalogue has it at no wavelength of the table")
+            raise SceneError(f"a coating's layer of {layer.glass}: the catalogue lacks the table's wavelengths")
         notes.append(f"a layer of {layer.glass} is written as a table from {lines[0]:g} to {lines[-1]:g} nm")
     indices = [(line, layer.index_at(line)) for line in lines]
     return tuple(f"{micrometres(line)} {n.real!r} {0.0 - n.imag!r}" for line, n in indices)

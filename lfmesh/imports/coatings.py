@@ -174,7 +174,7 @@ class CoatingFile:
             layers.append(_layer(material, nm))
             groups.append(int(number(words[3])) if len(words) > 3 else 0)
             tapers += words[4:5]
-        how = f"layers of taper {tapers[0]} have the thickness of the middle everywhere" if tapers else ""
+        how = f"layers of taper {tapers[0]} get the thickness at the middle everywhere" if tapers else ""
         return FoundCoating(Coating(layers=tuple(_repeated(layers, groups))), how)
 
 
@@ -207,10 +207,10 @@ def found_coating(
     if name == "AR":
         quarter = Layer(index=MGF2_INDEX, thickness_nm=primary_nm / MGF2_INDEX / 4.0)
         usual = file is None and wanted.upper() == USUAL_FILE
-        how = "" if usual else f"{where}; a quarter wave of MgF2 is taken for it"
+        how = "" if usual else f"{where}; replaced by a quarter wave of MgF2"
         return FoundCoating(Coating(layers=(quarter,)), how)
     if name == "MIRROR":
-        return FoundCoating(Coating(reflectance=1.0), "a metal's coating; taken as one that reflects everything")
+        return FoundCoating(Coating(reflectance=1.0), "a metal coating; taken as a perfect reflector")
     if (ideal := _ideal(name)) is not None:
         return ideal
     raise UnreadableCoatingError(where)
@@ -291,8 +291,8 @@ def _fixed(reflected: float, transmitted: float) -> FoundCoating:
     """Return a coating with the same reflectance and transmittance at all angles."""
     lost = 1.0 - reflected - transmitted
     if lost < -_LOST:
-        raise ValueError(f"it reflects {reflected:g} and transmits {transmitted:g}, more than there is")
-    how = f"of the light it absorbs {lost:.3g}, which passes here" if lost > _LOST else ""
+        raise ValueError(f"it reflects {reflected:g} and transmits {transmitted:g}, together more than 1")
+    how = f"it absorbs {lost:.3g} of the light, which is transmitted here" if lost > _LOST else ""
     return FoundCoating(Coating(reflectance=min(1.0, max(0.0, reflected))), how)
 
 
@@ -312,14 +312,14 @@ def _by_angle(lines: list[list[str]]) -> FoundCoating:
             rows.setdefault(nanometres(words[1]), {})[angle] = reflected
     angles = sorted({angle for row in rows.values() for angle in row})
     if not angles or any(sorted(row) != angles for row in rows.values()):
-        raise ValueError("every angle must stand at every wavelength")
+        raise ValueError("every wavelength must have every angle")
     said = []
     if angles[-1] < 90.0 or any(row[90.0] != 1.0 for row in rows.values()):
         said.append("at 90 degrees it reflects everything, as every surface does")
     if angles[0] > 0.0:
-        said.append(f"below {angles[0]:g} degrees it is as there")
+        said.append(f"below {angles[0]:g} degrees it is taken as constant")
     if lost > _LOST:
-        said.append(f"of the light it absorbs up to {lost:.3g}, which passes here")
+        said.append(f"it absorbs up to {lost:.3g} of the light, which is transmitted here")
     wavelengths = sorted(rows)
     inner = [angle for angle in angles if 0.0 < angle < 90.0]
     table = MeasuredReflectance(

@@ -52,7 +52,7 @@ _REFUSED = {
     **dict.fromkeys(["ADX", "ADY"], "decentred apertures are not supported"),
     **dict.fromkeys(["NSS", "ENS"], "non-sequential groups are not supported"),
     "BEN": "an axis that bends at a mirror is not supported",
-    "GLB": "surfaces placed from an earlier one than that before them are not supported",
+    "GLB": "surfaces placed from any but the previous surface are not supported",
     **dict.fromkeys(
         ["INS", "DEL", "COP", "SCA", "FLI"], "commands that edit the lens are not run; save what they make"
     ),
@@ -108,7 +108,7 @@ def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Rep
         if reader.radii is not None:
             raise
         raise SceneError(
-            f"{error}; the file has no line RDM, so that the first numbers of its surfaces count as curvatures: if "
+            f"{error}; the file has no line RDM, so the first numbers of its surfaces are read as curvatures: if "
             "they are radii, put RDM before them"
         ) from None
 
@@ -176,12 +176,12 @@ class _Reader:
         """Return the prescription, completed by values that depend on the whole file."""
         made = self.made
         if not made.surfaces:
-            raise SceneError(f"{self.report.path}: no CODE V lens file: it has no line S")
+            raise SceneError(f"{self.report.path}: not a CODE V lens file: it has no line S")
         if not self.ended:
             raise SceneError(f"{self.report.path}: cut short: it has no image surface SI")
         if self.radii is None:
             first = made.surfaces[min(1, len(made.surfaces) - 1)]
-            how = "no RDM in the file: the first numbers of surfaces count as curvatures, CODE V's old default"
+            how = "no RDM in the file: the first numbers of surfaces are read as curvatures, CODE V's old default"
             self.report.add(first.line, "S", Verdict.APPROXIMATED, how)
         for surface in made.surfaces:
             self._move(surface)
@@ -233,7 +233,7 @@ class _Reader:
     def _surface_line(self, command: str, words: list[str]) -> None:
         command = "SO" if command == "S0" and not self.made.surfaces else command
         if command not in ("S", "SO", "SI"):
-            raise ValueError("lines that change a surface that is there already are not supported; write S")
+            raise ValueError("lines that change an existing surface are not supported; write S")
         if len(self.made.surfaces) >= MOST_SURFACES:
             raise SceneError(f"{self.report.path}: line {self.at}: more than {MOST_SURFACES} surfaces")
         if not self.made.surfaces and command != "SO":
@@ -295,7 +295,7 @@ class _Reader:
             surface.after = move.inverse
             self.report.add(at, text, Verdict.TAKEN)
         if len(orders) > 1:
-            self.report.refuse(*orders[-1], "a surface has one of DAR and REV, once")
+            self.report.refuse(*orders[-1], "a surface may have only one DAR or REV")
 
     def _on_ret(self, words: list[str]) -> None:
         """Return to the frame of an earlier surface: `RET S3`, or `RET S5 S3` for surface 5.

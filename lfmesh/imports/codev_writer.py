@@ -35,7 +35,7 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
     lines = ["RDM;LEN", f"TITLE '{_quoted(lens.name or 'lens')}'"]
     if lens.source:
         lines.append(f"! {' '.join(lens.source.split())}")
-        notes.append("the source stands in a comment")
+        notes.append("the source is written as a comment")
     radius = stop_radius_mm(lens)
     far = math.isinf(conditions.object_mm)
     primary_nm = conditions.wavelengths_nm[conditions.primary]

@@ -43,7 +43,7 @@ class ZoomPositions:
         if len(words) == 1 and is_number(words[0]):
             count = number(words[0])
             if count != int(count) or not 1 <= count <= MOST_CONFIGURATIONS:
-                raise ValueError(f"the number of zoom positions must be a whole one from 1 to {MOST_CONFIGURATIONS}")
+                raise ValueError(f"the number of zoom positions must be a whole number from 1 to {MOST_CONFIGURATIONS}")
             self.count = int(count)
             self._counts.append((at, words))
         else:
@@ -81,7 +81,7 @@ class ZoomPositions:
             raise SceneError(f"{self._report.path}: configuration = {wanted}: the file {has}")
         for at, words in self._counts:
             if count > 1 and wanted is None:
-                how = f"{count} configurations: the values are taken that stand in the surfaces"
+                how = f"{count} configurations: the values in the surfaces are taken"
                 self._report.add(at, f"ZOO {words[0]}", Verdict.APPROXIMATED, how)
             else:
                 self._report.add(at, f"ZOO {words[0]}", Verdict.TAKEN if count > 1 else Verdict.WITHOUT_EFFECT)

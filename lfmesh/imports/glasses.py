@@ -58,7 +58,7 @@ def _material(name: str) -> tuple[str, str] | None:
     page = material_page(name)
     if page is None:
         return None
-    return page, f"{name}: no maker's glass; taken as {glass_in_words(page)} of the catalogue"
+    return page, f"{name}: not a maker's glass; taken as {glass_in_words(page)} of the catalogue"
 
 
 def named_glass(name: str, catalogues: list[str], stated: Stated | None = None) -> tuple[str, str]:
@@ -171,7 +171,7 @@ def _meant(name: str, catalogues: list[str], stated: Stated | None) -> tuple[str
         if fits[0] != _FORMER:
             if fits[0] == heir:
                 return _succeeded(name, heir, stated)
-            return fits[0], f"several glasses have the name {name}; its nd tells that it is {glass_in_words(fits[0])}"
+            return fits[0], f"several glasses are named {name}; by its nd it is {glass_in_words(fits[0])}"
         return _by_indices(name, stated) or _not_found(name, catalogues, stated)
     if heir and not makers and (not catalogues or _fits(heir, stated)) and not is_glass(name):
         return _succeeded(name, heir, stated)

@@ -69,10 +69,10 @@ def light_of(
         return None, ["a light of intensity 0; left out"]
     said = [how + coloured]
     if "range" in entry:
-        said.append("its range is left out: it lights what lies beyond, too")
+        said.append("its range is left out: it also lights objects beyond it")
     light = _made(where, node, entry, radiant * share, spectrum)
     if isinstance(light, SpotLight) and light.edge_deg > 0.0:
-        said.append("its soft edge is linear in the cosine of the angle, where viewers square that")
+        said.append("its soft edge is linear in the cosine of the angle, whereas viewers square it")
     return light, said
 
 
@@ -94,7 +94,7 @@ def _spread(colour: Array, scene: Scene) -> tuple[float, dict[str, Any] | None, 
         return float(colour[0]), None, ""
     if scene.camera.sensor.bands is None:
         each = [float(primary_reflectances(wavelength) @ colour) for wavelength in scene.wavelengths_nm]
-        lost = "" if len(set(each)) == 1 else "; its colour is left out, a light being alike at single wavelengths"
+        lost = "" if len(set(each)) == 1 else "; its colour is left out: a light is equal at single wavelengths"
         return float(np.mean(each)), None, lost
     low, high = scene.reach_nm
     nm = np.linspace(low, high, 1 + max(1, math.ceil((high - low) / STEP_NM)))

@@ -73,7 +73,7 @@ class GltfScene:
         for node in self.nodes:
             parts = primitives_of(self.path, self.document, node)
             for what in not_read(self.path, self.document, node):
-                self._enter(node.place, Verdict.APPROXIMATED, f"{what}, without facets that can be read; left out")
+                self._enter(node.place, Verdict.APPROXIMATED, f"{what} and has no facets; left out")
             if not parts:
                 continue
             facets += sum(self._facets(*part) for part in parts)
@@ -85,8 +85,8 @@ class GltfScene:
             raise MeshError(f"{self.path}: holds no object with facets in its scene")
         if len(made) > MOST_OBJECTS or facets > MOST_FACETS:
             raise MeshError(
-                f"{self.path}: holds {len(made)} objects with {facets} facets; {MOST_OBJECTS} objects and "
-                f"{MOST_FACETS} facets are the most"
+                f"{self.path}: holds {len(made)} objects with {facets} facets; the limits are {MOST_OBJECTS} objects "
+                f"and {MOST_FACETS} facets"
             )
         return tuple(made)
 
@@ -132,7 +132,7 @@ class GltfScene:
                 known = _extension(self.document, "KHR_lights_punctual").get("lights", [])
                 if not (isinstance(known, list) and isinstance(number, int) and 0 <= number < len(known)):
                     raise MeshError(
-                        f"{self.path}: broken: {node.place} names light {repr(number)[:60]}, which is not there"
+                        f"{self.path}: broken: {node.place} names light {repr(number)[:60]}, which is missing"
                     )
                 light, how = light_of(f"{self.path}: {node.place}", node, known[number], lighting, scene)
                 for each in how:
@@ -160,7 +160,7 @@ class GltfScene:
         """
         cameras = [node for node in self.nodes if "camera" in node.entry]
         if not cameras:
-            raise MeshError(f"{self.path}: holds no camera in its scene; export cameras, or leave the key out")
+            raise MeshError(f"{self.path}: holds no camera in its scene; export cameras, or omit the key")
         if camera is None and len(cameras) > 1:
             raise MeshError(
                 f"{self.path}: holds {len(cameras)} cameras; give camera, one of "
@@ -178,8 +178,8 @@ class GltfScene:
     def _whole_file(self) -> None:
         """Report the parts outside the nodes that are not imported."""
         for key, why in (
-            ("animations", "objects stand where their nodes are without them"),
-            ("skins", "meshes with bones stand in the shape that they were made in"),
+            ("animations", "objects keep the places of their nodes"),
+            ("skins", "meshes with bones keep their rest pose"),
         ):
             if self.document.get(key):
                 self._enter(key, Verdict.APPROXIMATED, f"left out; {why}")
@@ -247,8 +247,8 @@ def with_gltf(scene: Scene, keys: GltfKeys) -> Scene:
         pupil = solved_camera(scene).facts.entrance_pupil_z_mm
         if not np.isfinite(pupil):
             raise SceneError(
-                f'camera.pose.file = "{stood.file}": the entrance pupil lies at infinity, so that no camera can stand '
-                "in it; give shift_mm and tilt_deg"
+                f'camera.pose.file = "{stood.file}": the entrance pupil lies at infinity, so no camera can be placed '
+                "there; give shift_mm and tilt_deg"
             )
         place = of("camera.pose", stood.file)
         changes["camera.pose"] = _named("camera.pose", stood.file, lambda: place.pose(stood.camera, pupil))
@@ -284,7 +284,7 @@ def _turn(where: str, linear: Array) -> Array:
     """Return the rotation of a camera node's frame, ignoring its scale (glTF 2.0, section 3.10.1)."""
     lengths = np.linalg.norm(linear, axis=0)
     if not (lengths > 0.0).all():
-        raise MeshError(f"{where}: a camera whose scale is 0 looks nowhere")
+        raise MeshError(f"{where}: a camera whose scale is 0 has no direction")
     turn = linear / lengths
     if not np.allclose(turn.T @ turn, np.eye(3), rtol=0.0, atol=SKEW) or np.linalg.det(turn) < 0.0:
         raise MeshError(f"{where}: the camera is mirrored or skewed by the nodes above it; apply their scale")

@@ -132,8 +132,8 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
         aperture = max(aperture, unit * (surface.extent or 0.0))
         if not (off := surface.rewritten.error_at(aperture / unit) * unit) <= OFF_MM:
             raise SceneError(
-                f"{report.path}: line {surface.line}: {surface.text}: its term in r² can be written without it to "
-                f"{plain(off, 1)} mm only, {aperture:g} mm from the axis; {OFF_MM:g} mm is the limit"
+                f"{report.path}: line {surface.line}: {surface.text}: rewriting its term in r² leaves an error of "
+                f"{plain(off, 1)} mm at {aperture:g} mm from the axis; the limit is {OFF_MM:g} mm"
             )
     coatings, names = lens_coatings(made.kept, [media[0], *made.media], prescription, report)
     # Forbes' mild terms end at their radius, so an f-number cannot set the aperture.
@@ -326,8 +326,8 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
             report.refuse(
                 surface.line,
                 surface.text,
-                f"the next surface stands {-distance:.6g} mm before this one; light must go on: a distance below 0 is "
-                "not supported, except to a plane without effect",
+                f"the next surface lies {-distance:.6g} mm in front of this one; a distance below 0 is supported only "
+                "to a plane without effect",
             )
     made.gaps_mm = [max(0.0, distance) for distance in made.gaps_mm]
     return made
@@ -360,9 +360,7 @@ def _move_stop(prescription: Prescription, media: list[Medium | None], report: R
         size = plane.aperture or (plane.extent if prescription.pupil[0] == "stop" else None)
         surface.aperture = min(filter(None, (size, surface.aperture)), default=None)
         surface.stop, plane.stop, plane.aperture = True, False, None
-        how = (
-            f"this plane stands in the vertex of surface {number} of the file, which bulges through it and is the stop"
-        )
+        how = f"this plane lies at the vertex of surface {number}, which bulges through it and becomes the stop"
         report.add(plane.line, plane.text, Verdict.APPROXIMATED, how)
         return
 
@@ -392,8 +390,8 @@ def _stand_off_axis(prescription: Prescription, made: KeptSurfaces, numbers: lis
         report.refuse(
             moved[-1].line,
             moved[-1].text,
-            f"the axis is not turned back: the image stands {aside:.4g} mm aside, tilted by {tilt:.4g} degrees; tilted "
-            "and decentred groups must be followed by the axis of the object",
+            f"the axis is not restored: the image lies {aside:.4g} mm off it, tilted by {tilt:.4g} degrees; return to "
+            "the axis of the object after tilted and decentred groups",
         )
         return
     vertices, made.elements = straightened(

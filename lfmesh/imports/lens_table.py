@@ -119,9 +119,9 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
             report.refuse(at, line, str(error))
     stops = [surface for surface in made.surfaces if surface.stop]
     for surface in stops[1:]:
-        report.refuse(surface.line, surface.text, f"line {stops[0].line} is the stop already")
+        report.refuse(surface.line, surface.text, f"line {stops[0].line} is already the stop")
     if not stops:
-        report.notes.append("no row is marked as the stop: the first surface is taken for it")
+        report.notes.append("no row is marked as the stop: the first surface is taken")
     if made.surfaces and not object_given and abs(made.surfaces[0].thickness) < FAR_MM:
         made.surfaces.insert(0, FileSurface(filled[0][0], "object", thickness=math.inf))
     made.surfaces.append(FileSurface(filled[-1][0], "image"))
@@ -165,8 +165,8 @@ def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[st
         raise SceneError(f"{report.path}: line {at}: two columns give the {twice}")
     if "thickness" not in columns or not {"radius", "curvature"} & set(columns):
         raise SceneError(
-            f"{report.path}: line {at}: no prescription: its first line must name columns, a radius or curvature and "
-            f"a thickness among them, in English; it is {line.strip()[:60]!r}"
+            f"{report.path}: line {at}: no prescription: its first line must name columns in English, including a "
+            f"radius or curvature and a thickness; it is {line.strip()[:60]!r}"
         )
     return columns
 

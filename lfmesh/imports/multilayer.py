@@ -33,8 +33,8 @@ _WITHOUT_E = re.compile(r"(?<=[\d.])(?:[Dd]|(?=[+-]))(?=[+-]?\d+$)")
 """Place of the missing E before the exponent of a Fortran real."""
 
 _ORDER = (
-    "its layers are taken from its incident medium on: from the air to the glass, between two glasses from the object "
-    "to the sensor"
+    "its layers are read from the incident medium onwards: from the air to the glass, between two glasses from the "
+    "object to the sensor"
 )
 
 
@@ -92,21 +92,21 @@ def multilayer(path: Path) -> FoundCoating:
     except SceneError as error:
         raise UnreadableCoatingError(f"{path.name}: {str(error).removeprefix(f'{path}: ')}") from None
     except (ValueError, IndexError, KeyError, ZeroDivisionError) as error:
-        why = error if isinstance(error, ValueError) else "its parts do not fit each other"
-        raise UnreadableCoatingError(f"{path.name} is no multilayer file that is read: {why}") from None
+        why = error if isinstance(error, ValueError) else "its parts are inconsistent"
+        raise UnreadableCoatingError(f"{path.name} is not a readable multilayer file: {why}") from None
 
 
 def _coating(blocks: _Blocks) -> Coating:
     kind = blocks.line().split()[:1]
     if kind not in ([each] for each in FORMATS):
-        raise ValueError(f"its first line gives no format {' or '.join(FORMATS)}")
+        raise ValueError(f"its first line does not name the format {' or '.join(FORMATS)}")
     _title, _date = blocks.line(), blocks.line()
     blocks.integers(HEAD)
     counts = blocks.integers(COUNTS)
     blocks.integers(UNKNOWN)
     media, waves, size, start = (counts[place] for place in (MEDIA, WAVELENGTHS, CATALOGUE, SAMPLED))
     if min(waves, size, start) < 1 or media < 3 or counts[INTERFACES] != media - 1:
-        raise ValueError("its counts do not fit each other")
+        raise ValueError("its counts are inconsistent")
     # Thickness codes for the coating's design.
     blocks.integers(media)
     places, links = blocks.integers(media), blocks.integers(size)
@@ -134,7 +134,7 @@ def _materials(
     count, materials = len(sampled_nm), dict[int, MeasuredIndex]()
     places = range(start, len(catalogue), 2 * count + 1)
     if len(labels) != len(tables) + len(places):
-        raise ValueError("its labels do not fit its catalogue")
+        raise ValueError("its labels do not match its catalogue")
     for label, place in zip(labels[len(tables) :], places, strict=True):
         rows = _rows(sampled_nm, catalogue, place) | by_label.get(label, {})
         nm = sorted(rows)
@@ -165,7 +165,7 @@ def _tables(catalogue: list[float], links: list[int]) -> Iterator[dict[float, tu
         yield _rows(nm, catalogue, word)
         start, before = links[word], start
         if start and start <= before:
-            raise ValueError("its catalogue turns back")
+            raise ValueError("its catalogue runs backwards")
 
 
 def _nanometres(micrometres: list[float]) -> list[float]:

@@ -15,9 +15,9 @@ def number(word: str) -> float:
     try:
         value = float(word)
     except ValueError:
-        raise ValueError(f"{word[:30]!r} is no number") from None
+        raise ValueError(f"{word[:30]!r} is not a number") from None
     if not math.isfinite(value):
-        raise ValueError(f"{word[:30]!r} is no finite number")
+        raise ValueError(f"{word[:30]!r} is not finite")
     return value
 
 

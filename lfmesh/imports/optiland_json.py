@@ -63,10 +63,10 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
     try:
         data = json.loads("\n".join(read_lines(path) if lines is None else lines))
     except (ValueError, RecursionError) as error:
-        raise SceneError(f"{path}: no JSON: {str(error)[:100]}") from None
+        raise SceneError(f"{path}: not JSON: {str(error)[:100]}") from None
     group = data.get("surface_group") if isinstance(data, dict) else None
     if not isinstance(group, dict) or not isinstance(group.get("surfaces"), list):
-        raise SceneError(f"{path}: no optiland lens file: it has no list surface_group.surfaces")
+        raise SceneError(f"{path}: not an optiland lens file: it has no list surface_group.surfaces")
     report = Report(path)
     made = _Reader(report, data).prescription(group["surfaces"])
     return lens_of(made, report, choices.substitutes), report
@@ -107,7 +107,7 @@ class _Reader:
     def _number(entry: Mapping[str, Any], key: str, infinite: bool = False) -> float:
         value = _held(entry, key, int | float)
         if math.isnan(value):
-            raise ValueError(f"{key} = NaN is no number")
+            raise ValueError(f"{key} = NaN is not a number")
         if not infinite and math.isinf(value):
             raise ValueError(f"{key} = {value} is not finite")
         return float(value)
@@ -203,7 +203,7 @@ class _Reader:
             return
         stop = next((surface for surface in made.surfaces if surface.stop), None)
         if stop is None:
-            raise ValueError("it sizes the stop, and no surface is the stop")
+            raise ValueError("it gives the size of the stop, but no surface is the stop")
         made.pupil, stop.aperture = ("stop", 0.0), 0.5 * value
 
     def _fields(self, made: Prescription, entry: Mapping[str, Any]) -> None:
@@ -233,7 +233,7 @@ class _Reader:
                 primaries.append(k)
         made.primary = primaries[0] if primaries else 0
         if len(primaries) > 1:
-            self.report.add(0, "wavelengths", Verdict.APPROXIMATED, "several are the primary one; the first is taken")
+            self.report.add(0, "wavelengths", Verdict.APPROXIMATED, "several are marked as primary; the first is taken")
 
 
 def _held(entry: Mapping[str, Any], key: str, kind: Any) -> Any:
@@ -242,7 +242,7 @@ def _held(entry: Mapping[str, Any], key: str, kind: Any) -> Any:
         raise ValueError(f"it has no {key}")
     value = entry[key]
     if not isinstance(value, kind) or isinstance(value, bool):
-        raise ValueError(f"{key} = {json.dumps(value)[:30]} is no {_KINDS[kind]}")
+        raise ValueError(f"{key} = {json.dumps(value)[:30]} must be {_KINDS[kind]}")
     return value
 
 
@@ -252,5 +252,5 @@ def _table(entry: Any, name: str) -> Mapping[str, Any]:
     return table
 
 
-_KINDS = {dict: "object", list: "list", str: "text", int | float: "number"}
+_KINDS = {dict: "an object", list: "a list", str: "text", int | float: "a number"}
 """JSON names of the types."""

@@ -44,10 +44,10 @@ _WITHOUT_EFFECT = command_names(
 
 _REFUSED = {
     "BEN": "an axis that bends at a mirror is",
-    **dict.fromkeys(["GC", "GCS"], "surfaces placed from others than the one before them are"),
+    **dict.fromkeys(["GC", "GCS"], "surfaces placed from any but the previous surface are"),
     **dict.fromkeys(["DOE", "GRX", "GOR", "GSP", "HOR", "HV1", "HV2"], "gratings are"),
     **dict.fromkeys(["GRD", "GDT", "GIN"], "gradient indices are"),
-    "NSS": "groups of surfaces without an order are",
+    "NSS": "non-sequential groups are",
     **dict.fromkeys(["ATP", "AX1", "AX2", "AY1", "AY2", "AAC", "APN"], "apertures that are not round are"),
     **dict.fromkeys(["PK", "APK"], "pickups, whose values the file does not hold, are"),
 }
@@ -166,7 +166,7 @@ class _Reader:
         """Return the prescription, completed by values that depend on the whole file."""
         made = self.made
         if not self.begun:
-            raise SceneError(f"{self.report.path}: no OSLO lens file: it has no line LEN NEW")
+            raise SceneError(f"{self.report.path}: not an OSLO lens file: it has no line LEN NEW")
         if not self.ended:
             raise SceneError(f"{self.report.path}: cut short: it has no line END")
         for k, (at, text) in self.solved.items():
@@ -174,7 +174,7 @@ class _Reader:
                 self.report.refuse(at, text, "a solve for a thickness that the file does not hold")
         behind = len(made.surfaces) - 1
         if self.stated is not None and self.stated[2] != behind:
-            self.report.refuse(*self.stated[:2], f"it counts {self.stated[2]} surfaces, and the file holds {behind}")
+            self.report.refuse(*self.stated[:2], f"it counts {self.stated[2]} surfaces, but the file holds {behind}")
         for k, surface in enumerate(made.surfaces):
             self._end_terms(k, surface)
             self._end_moves(k, surface)
@@ -201,7 +201,7 @@ class _Reader:
         if self.edge is not None:
             made.field_kind, value = self.edge
             if made.field_kind == "object" and math.isinf(distance):
-                raise SceneError(f"{self.report.path}: OBH = {value:g}: of an object at infinity give ANG")
+                raise SceneError(f"{self.report.path}: OBH = {value:g}: give ANG for an object at infinity")
             made.fields = made.fields or [self._field_point(0.0, share) for share in (0.0, 1.0)]
 
     def _field_point(self, x: float, y: float, up: float = 1.0, low: float = 1.0) -> FieldPoint:
@@ -340,7 +340,7 @@ class _Reader:
         self.ended = True
         self._add(Verdict.TAKEN)
         if words and (count := number(words[0])) != len(self.made.surfaces) - 1:
-            raise ValueError(f"it counts {count:g} surfaces, and the file holds {len(self.made.surfaces) - 1}")
+            raise ValueError(f"it counts {count:g} surfaces, but the file holds {len(self.made.surfaces) - 1}")
 
     def _on_rd(self, words: list[str]) -> None:
         radius = number(words[0])
@@ -397,7 +397,7 @@ class _Reader:
         checked = words[0].upper() == "CHK"
         radius = number(words[-1])
         if radius < 0.0:
-            raise ValueError("it must be 0, for the size that rays fill, or above")
+            raise ValueError("it must be 0, for the size that rays fill, or more")
         size = radius if 0.0 < radius * self.made.unit_mm < FAR_MM else None
         if checked:
             self._surface.aperture = size

@@ -71,8 +71,8 @@ def _beyond_tables(coating: Coating, wavelengths_nm: Sequence[float]) -> str:
         beyond = [line for line in wavelengths_nm if not table[0] <= line <= table[-1]]
         if len(table) > 1 and beyond:
             return (
-                f"at {', '.join(f'{line:g}' for line in beyond)} nm its index or shares are those at the nearer end of "
-                f"a table from {table[0]:g} to {table[-1]:g} nm"
+                f"at {', '.join(f'{line:g}' for line in beyond)} nm, outside its table from {table[0]:g} to "
+                f"{table[-1]:g} nm, the nearest index or shares are taken"
             )
     return ""
 

@@ -31,7 +31,7 @@ def read_lines(path: Path) -> list[str]:
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
     if len(data) > MOST_BYTES:
-        raise SceneError(f"{path}: larger than {MOST_BYTES // 1_000_000} MB; a lens file has some kilobytes")
+        raise SceneError(f"{path}: larger than {MOST_BYTES // 1_000_000} MB; a lens file has a few kilobytes")
     text = _decoded(data, path)
     lines = text.splitlines()
     if len(lines) > MOST_LINES:
@@ -55,10 +55,10 @@ def _decoded(data: bytes, path: Path) -> str:
     except UnicodeDecodeError as error:
         if encoding != "utf-8":
             raise SceneError(
-                f"{path}: byte {len(mark) + error.start} is no {encoding}: the file is cut short"
+                f"{path}: byte {len(mark) + error.start} is not {encoding}: the file is cut short"
             ) from None
         text = body.decode("latin-1")
     strange = sum(sign < " " and sign not in "\t\r\n\f\x1a" for sign in text)
     if strange:
-        raise SceneError(f"{path}: no text: it holds {strange} control characters; a lens file is plain text")
+        raise SceneError(f"{path}: not text: it holds {strange} control characters; a lens file is plain text")
     return text

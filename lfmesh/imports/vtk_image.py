@@ -84,7 +84,7 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None, mos
     if not isinstance(image, pyvista.ImageData) or 0 in image.dimensions:
         raise FileError(f"{path}: cannot be read as VTK image data: it is damaged, or no image")
     if np.abs(np.asarray(image.direction_matrix) - np.eye(3)).max() > NOT_TURNED:
-        raise FileError(f"{path}: its axes are turned; write it along x, y and z, and give rotation_deg to the medium")
+        raise FileError(f"{path}: its axes are rotated; write it along x, y and z, and give rotation_deg to the medium")
     dimensions = np.array(image.dimensions)
     spacing, origin = np.array(image.spacing, float), np.array(image.origin, float)
     # First point numbers of a part cut from a larger image.
@@ -104,11 +104,11 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None, mos
     if len(found) != 1:
         what = "holds quantities both at points and in cells" if found else "holds no quantity"
         held = ", ".join([*image.point_data.keys(), *image.cell_data.keys()]) or "no arrays"
-        raise FileError(f"{path}: {what}; there are {', '.join(known)}, and in the file {held}")
+        raise FileError(f"{path}: {what}; known are {', '.join(known)}; the file has {held}")
     arrays, shape, first = found[0]
     for name, array in arrays.items():
         if array.shape != (int(np.prod(shape)),):
-            raise FileError(f"{path}: {name} must have one number for each voxel, and has the shape {array.shape}")
+            raise FileError(f"{path}: {name} must have one number for each voxel, but has the shape {array.shape}")
     # In VTK, x varies fastest.
     read: dict[str, Any] = {name: array.reshape(tuple(shape), order="F") for name, array in arrays.items()}
     return read | {"spacing_mm": spacing, "origin_mm": first}
@@ -170,11 +170,11 @@ def _check_pieces(path: Path, whole: tuple[int, ...], *pieces: tuple[int, ...]) 
             (first, last), (low, high) = whole[2 * axis : 2 * axis + 2], piece[2 * axis : 2 * axis + 2]
             if low < first or high > last:
                 raise FileError(
-                    f"{path}: its Piece has the points {low} to {high} along {'xyz'[axis]}, and its WholeExtent "
+                    f"{path}: its Piece has the points {low} to {high} along {'xyz'[axis]}, but its WholeExtent "
                     f"{first} to {last}: they must agree; write it again"
                 )
     held, wanted = sum(map(_cells, pieces)), _cells(whole)
     if pieces and held != wanted:
         raise FileError(
-            f"{path}: its pieces have {held} voxels, and its WholeExtent {wanted}: they must agree; write it again"
+            f"{path}: its pieces have {held} voxels, but its WholeExtent {wanted}: they must agree; write it again"
         )

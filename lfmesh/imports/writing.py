@@ -22,7 +22,7 @@ def check_writable(lens: Lens, program: str) -> list[str]:
     """
     for i, surface in enumerate(lens.surfaces):
         if surface.paraxial and program != ZEMAX:
-            raise SceneError(f"surfaces[{i}].paraxial: a {program} file holds no thin lens; write .zmx")
+            raise SceneError(f"surfaces[{i}].paraxial: a {program} file cannot hold a thin lens; write .zmx")
         form = surface.section_key
         if form is not None and (program != ZEMAX or form not in SECTIONS.values()):
             other = "; write .zmx" if form in SECTIONS.values() else ""
@@ -72,7 +72,7 @@ def maker_and_name(glass: str, program: str) -> tuple[str, str]:
     except GlassError as error:
         raise SceneError(str(error)) from None
     if shelf != "specs":
-        raise SceneError(f"glass {full!r}: no maker's glass; a {program} file cannot name it")
+        raise SceneError(f"glass {full!r}: not a maker's glass; a {program} file cannot name it")
     return book.split("-")[0].upper(), name
 
 

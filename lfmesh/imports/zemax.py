@@ -105,7 +105,7 @@ class _Reader(SurfaceReader):
         """Return the prescription, completed by values that depend on the whole file."""
         made = self.made
         if not made.surfaces:
-            raise SceneError(f"{self.report.path}: no Zemax lens file: it has no line SURF")
+            raise SceneError(f"{self.report.path}: not a Zemax lens file: it has no line SURF")
         self.end_surfaces()
         used = [line for number, line in sorted(self.waves.items()) if not self.count or number <= self.count]
         made.wavelengths_nm = list(dict.fromkeys(used))
@@ -201,7 +201,7 @@ class _Reader(SurfaceReader):
             self.count = int(number(words[3]))
             self.fields["count"] = [number(words[2])]
         if kind not in FIELD_KINDS:
-            self._approximated("fields of an unknown kind count as angles, for apertures that the file leaves open")
+            self._approximated("fields of an unknown kind are taken as angles to compute missing apertures")
         else:
             self._taken()
 

@@ -115,7 +115,7 @@ class Configurations:
             has = "has one configuration" if self.count == 1 else f"has configurations 1 to {self.count}"
             raise SceneError(f"{report.path}: configuration = {chosen}: the file {has}")
         if self.count > 1 and wanted is None:
-            how = f"{self.count} configurations: {chosen} is taken, whose values stand in the surfaces"
+            how = f"{self.count} configurations: {chosen}, whose values are in the surfaces, is taken"
             report.add(self.line, self.text, Verdict.APPROXIMATED, how)
         elif self.line:
             report.add(self.line, self.text, Verdict.TAKEN if self.count > 1 else Verdict.WITHOUT_EFFECT)
@@ -135,11 +135,11 @@ class Configurations:
             if name in _WITHOUT_EFFECT or configuration != chosen:
                 report.add(at, text, Verdict.WITHOUT_EFFECT)
             elif chosen == self.current:
-                report.add(at, text, Verdict.TAKEN, "its value stands in the file's surfaces")
+                report.add(at, text, Verdict.TAKEN, "its value is in the file's surfaces")
             elif len({held for _, _, held in values.values()}) == 1 and len(values) == self.count:
                 report.add(at, text, Verdict.TAKEN, "the same in every configuration")
             elif name in _VIGNETTING:
-                how = f"vignetting is that of configuration {self.current}; it only sizes apertures that are left open"
+                how = f"vignetting is that of configuration {self.current}; it affects only missing apertures"
                 report.add(at, text, Verdict.APPROXIMATED, how)
             else:
                 try:

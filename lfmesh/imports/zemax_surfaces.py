@@ -49,7 +49,7 @@ class SurfaceReader:
     def end_surfaces(self) -> None:
         """Complete the surfaces with values that depend on the whole file."""
         if self.distance_line[0]:
-            self.report.add(*self.distance_line, Verdict.WITHOUT_EFFECT, "nothing stands behind the image")
+            self.report.add(*self.distance_line, Verdict.WITHOUT_EFFECT, "nothing lies behind the image")
             self.distance_line = 0, ""
         self._end_surface()
         self._end_drawn()
@@ -128,7 +128,7 @@ class SurfaceReader:
     def _on_disz(self, words: list[str]) -> None:
         if words[0].upper().startswith("INF"):
             if len(self.made.surfaces) > 1:
-                raise ValueError("only the object may stand at infinity")
+                raise ValueError("only the object may lie at infinity")
             self._surface.thickness = math.inf
         else:
             self._surface.thickness = number(words[0])
@@ -200,7 +200,7 @@ class SurfaceReader:
     def _add_term(self, power: int, value: float) -> None:
         """Add a term in a power of r to the sag."""
         if not math.isfinite(value):
-            self._refuse(f"its term in r^{power} is beyond the range of numbers")
+            self._refuse(f"its term in r^{power} overflows float64")
             return
         try:
             self._surface.add_term(power, value)
@@ -236,7 +236,7 @@ class SurfaceReader:
         for place, (at, text, value) in sorted(self.extra.items()):
             self.at, self.text = at, text
             if place == first - 1 and not value > 0.0:
-                self._refuse("the radius in which heights are counted must be above 0")
+                self._refuse("the normalisation radius must be above 0")
             elif place < first or not value:
                 self._taken()
             elif place - first >= count:
@@ -245,7 +245,7 @@ class SurfaceReader:
                 power = EXTENDED[self.kind] * (place - first + 1)
                 self._add_term(power, _over(value, norm_radius, power) if norm_radius > 0.0 else 0.0)
             elif place - first >= MOST_ASPHERE_TERMS:
-                self._refuse(f"Forbes' aspheres have {MOST_ASPHERE_TERMS} terms at most")
+                self._refuse(f"Forbes' aspheres have at most {MOST_ASPHERE_TERMS} terms")
             else:
                 self._taken()
         self.at, self.text = line
@@ -278,7 +278,7 @@ class SurfaceReader:
     def _on_sqap(self, words: list[str]) -> None:
         half = numbers(words[:2])
         self._surface.aperture = math.hypot(*half)
-        self._approximated("a rectangular aperture: the circle round it")
+        self._approximated("a rectangular aperture: the circle around it")
 
     def _on_obdc(self, words: list[str]) -> None:
         if any(numbers(words[:2])):
@@ -288,7 +288,7 @@ class SurfaceReader:
 
     def _on_scbd(self, words: list[str]) -> None:
         if any(numbers(words[2:])):
-            self._refuse("a decentred or tilted surface is not supported; put coordinate breaks round it")
+            self._refuse("a decentred or tilted surface is not supported; put coordinate breaks around it")
         else:
             self._taken()
 

@@ -68,7 +68,7 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
         files[beside] = text.encode()
         # OpticStudio also requires the names of its other three files.
         lines.append(f'COFN QF "{beside.name}" "SCATTER_PROFILE.DAT" "ABG_DATA.DAT" "PROFILE.GRD"')
-        notes += [f"the coatings stand in {beside.name}; OpticStudio looks for it in its folder Coatings", *inexact]
+        notes += [f"the coatings are in {beside.name}; OpticStudio looks for it in its folder Coatings", *inexact]
     far = math.isinf(conditions.object_mm)
     rows = [
         _Row(
@@ -172,7 +172,7 @@ def _glass(where: str, matter: Surface | Matter) -> list[str]:
     glass = matter.glass
     if isinstance(glass, OwnGlass):
         if glass.nd is None or glass.air is not None:
-            raise SceneError(f"{where}.glass: a Zemax file has no place for a {glass.in_words()}; write .seq")
+            raise SceneError(f"{where}.glass: a Zemax file cannot hold a {glass.in_words()}; write .seq")
         return [f"  GLAS ___BLANK 1 0 {glass.nd!r} {glass.vd!r} 0 0 0 0 0 0"]
     if glass is not None:
         return [f"  GLAS {maker_and_name(glass, 'Zemax')[1]} 0 0 1.5 40 0 0 0 0 0 0"]

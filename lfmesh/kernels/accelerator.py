@@ -60,8 +60,8 @@ def leave_alone(error: Exception) -> None:
     if not _faults:
         reason = str(error).strip().split("\n")[0] or type(error).__name__
         message = (
-            f"numba {numba.__version__} is not as lfmesh expects ({reason}): numba alone compiles the kernels, so that "
-            "the first render of an installation waits up to three times as long; pictures stay the same"
+            f"numba {numba.__version__} differs from the expected one ({reason}): plain numba compiles the kernels, so "
+            "the first render of an installation takes up to three times as long; pictures stay the same"
         )
         warnings.warn(PlainNumbaWarning(message), stacklevel=2)
     _faults.append(str(error))

@@ -108,7 +108,7 @@ class Detector:
         _refuse("quantum_efficiency", self.quantum_efficiency, 0.0 < self.quantum_efficiency <= 1.0, "in (0, 1]")
         _refuse("bits", self.bits, 1 <= self.bits <= MOST_BITS, f"from 1 to {MOST_BITS}")
         _refuse("black_level", self.black_level, 0 <= self.black_level < self.white_level, "below the highest count")
-        _refuse("bayer", self.bayer, self.bayer in (None, *PATTERNS), f"one of {', '.join(PATTERNS)}, or left out")
+        _refuse("bayer", self.bayer, self.bayer in (None, *PATTERNS), f"one of {', '.join(PATTERNS)}, or omitted")
         _refuse("seed", self.seed, self.seed >= 0, "0 or more")
 
     @property
@@ -182,7 +182,7 @@ class Detector:
             return np.asarray(weights * [transmittance(colour, wavelengths_nm) for colour in RGB_NM])
         if not set(RGB_NM) <= set(names):
             raise LfmeshError(
-                f"bayer = {self.bayer!r}: its filters see the bands R, G and B, and the sensor's bands are named "
+                f"bayer = {self.bayer!r}: its filters see the bands R, G and B, but the sensor's bands are named "
                 f"{', '.join(names)}"
             )
         return np.asarray(weights * [[name == colour for name in names] for colour in RGB_NM])

@@ -146,12 +146,12 @@ def read_curve(path: Path, column: str, most: float = math.inf) -> Curve:
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise FileError(f"{path}: byte {error.start} is no UTF-8; a table is UTF-8 text") from None
+        raise FileError(f"{path}: byte {error.start} is not UTF-8; a table is UTF-8 text") from None
     names = ("wavelength_nm", column)
     try:
         rows = [row for row in csv.reader(text.splitlines()) if any(cell.strip() for cell in row)]
     except csv.Error as error:
-        raise FileError(f"{path}: no CSV: {error}") from None
+        raise FileError(f"{path}: not CSV: {error}") from None
     head = [cell.strip() for cell in rows[0]] if rows else []
     if sorted(head) != sorted(names):
         raise FileError(f"{path}: its first line must name the columns {' and '.join(names)}")
@@ -182,7 +182,7 @@ def curve_fault(wavelengths_nm: Sequence[float], values: Sequence[float], most: 
     before = 0.0
     for wavelength, value in zip(wavelengths_nm, values, strict=True):
         if not SHORTEST_NM <= wavelength <= LONGEST_NM:
-            return f"wavelength {wavelength:g} nm: wavelengths reach from {SHORTEST_NM:g} to {LONGEST_NM:g} nm"
+            return f"wavelength {wavelength:g} nm: wavelengths must lie between {SHORTEST_NM:g} and {LONGEST_NM:g} nm"
         if wavelength <= before:
             return f"wavelength {wavelength:g} nm after {before:g} nm: wavelengths must increase"
         before = wavelength

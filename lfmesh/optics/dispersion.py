@@ -50,8 +50,8 @@ def model_index(nd: float, vd: float, wavelength_nm: float) -> float:
     first, last = MODEL_NM
     if not first <= wavelength_nm <= last:
         raise GlassError(
-            f"glass of nd {nd:g} and Vd {vd:g} at {wavelength_nm:g} nm: nd and Vd tell the index from {first:g} to "
-            f"{last:g} nm; give a table or Sellmeier's coefficients"
+            f"glass of nd {nd:g} and Vd {vd:g} at {wavelength_nm:g} nm: nd and Vd determine the index only from "
+            f"{first:g} to {last:g} nm; give a table or Sellmeier's coefficients"
         )
     terms = _herzberger(wavelength_nm)
     return nd + (nd - 1.0) / vd * float(np.dot(_normal_terms(vd), terms - _herzberger(D_LINE_NM)))
@@ -92,8 +92,8 @@ def sellmeier_index(b: Sequence[float], c_um2: Sequence[float], wavelength_nm: f
         n2 = math.inf
     if not 1.0 <= n2 <= 100.0:
         raise GlassError(
-            f"glass by Sellmeier's formula at {wavelength_nm:g} nm: n² = {n2:g}; an index is from 1 to 10, and the "
-            "wavelengths stay off the resonances √c"
+            f"glass by Sellmeier's formula at {wavelength_nm:g} nm: n² = {n2:g}; an index must lie between 1 and 10, "
+            "and wavelengths away from the resonances √c"
         )
     return math.sqrt(n2)
 

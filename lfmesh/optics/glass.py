@@ -317,7 +317,7 @@ def _catalogue_absorption(name: str, wavelength_nm: float) -> float:
         _within_range(name, page, wavelength_nm, "k")
         extinction = float(_data(page).get_extinction_coefficient(wavelength_nm, unit="nm"))
     except NoExtinctionCoefficient as error:
-        raise GlassError(f"glass {name!r}: the catalogue has no internal transmittance of it") from error
+        raise GlassError(f"glass {name!r}: the catalogue has no internal transmittance for it") from error
     return 4.0e6 * math.pi * max(extinction, 0.0) / wavelength_nm
 
 
@@ -478,7 +478,7 @@ def _suggestion(name: str) -> str:
     material = material_page(bare)
     close += [*(names[material.upper()] if material is not None else []), *sorted(book)]
     if bare in ("AIR", "VACUUM"):
-        return "for air leave glass and index out"
+        return "for air omit glass and index"
     if len(set(close)) < 4:
         for known in difflib.get_close_matches(wanted, makers_glasses, n=4, cutoff=0.6):
             close += names[known]

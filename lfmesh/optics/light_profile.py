@@ -82,7 +82,7 @@ def read_profile(path: Path) -> LightProfile:
     if head[5] != TYPE_C:
         raise FileError(f"{path}: photometric type {head[5]:g}; only type C, 1, can be read")
     if rows * columns > MOST_NUMBERS:
-        raise FileError(f"{path}: {rows} x {columns} angles; there can be {MOST_NUMBERS} in all")
+        raise FileError(f"{path}: {rows} x {columns} angles; at most {MOST_NUMBERS} are allowed in all")
     vertical, horizontal = _part(path, numbers, 13, rows), _part(path, numbers, 13 + rows, columns)
     candela = _part(path, numbers, 13 + rows + columns, rows * columns).reshape(columns, rows)
     further = len(numbers) - (13 + rows + columns + rows * columns)
@@ -141,7 +141,7 @@ def _numbers(path: Path, lines: list[str], first: int) -> Array:
             try:
                 value = float(word)
             except ValueError:
-                raise FileError(f"{path}: line {number}: {word!r} is no number") from None
+                raise FileError(f"{path}: line {number}: {word!r} is not a number") from None
             if not np.isfinite(value):
                 raise FileError(f"{path}: line {number}: {word!r} is not finite")
             values.append(value)

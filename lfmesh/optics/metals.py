@@ -41,5 +41,5 @@ def metal_index(name: str, wavelength_nm: float) -> complex:
     """
     index = complex_index(find_metal(name), wavelength_nm)
     if index.imag <= 0.0:
-        raise GlassError(f"metal {name!r} at {wavelength_nm:g} nm: no extinction coefficient; it is no metal there")
+        raise GlassError(f"metal {name!r} at {wavelength_nm:g} nm: no extinction coefficient; it is not a metal there")
     return index

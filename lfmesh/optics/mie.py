@@ -83,8 +83,8 @@ def mie_sphere(
     sizes = np.pi * diameters * 1e3 * surrounding_index / wavelength_nm
     if sizes.max() > LARGEST_SIZE:
         raise ValueError(
-            f"spheres of {diameters.max():.4g} µm have a size parameter of {sizes.max():.4g}; up to {LARGEST_SIZE:g} "
-            "can be computed"
+            f"spheres of {diameters.max():.4g} µm have a size parameter of {sizes.max():.4g}; the limit is "
+            f"{LARGEST_SIZE:g}"
         )
     spheres = [_multipoles(relative, float(x)) for x in sizes]
     area = 0.25 * np.pi * diameters**2

@@ -44,7 +44,7 @@ def read_table(path: Path, columns: Sequence[str]) -> tuple[Array, ...]:
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise FileError(f"{path}: byte {error.start} is no UTF-8; a table is UTF-8 text") from None
+        raise FileError(f"{path}: byte {error.start} is not UTF-8; a table is UTF-8 text") from None
     except ValueError as error:
         why = " ".join(str(error).split(";")[0].split())
         raise FileError(f"{path}: below its first line, {why}") from None
@@ -62,4 +62,4 @@ def _refuse_other_columns(path: Path, head: list[str], columns: Sequence[str]) -
         raise FileError(f"{path}: has no column {' and no column '.join(missing)}; {needed}")
     if sorted(head) != sorted(columns):
         extra = [name for k, name in enumerate(head) if name not in columns or name in head[:k]]
-        raise FileError(f"{path}: column {extra[0][:40]!r} is unknown or twice there; {needed}, and no others")
+        raise FileError(f"{path}: column {extra[0][:40]!r} is unknown or given twice; {needed}, and no others")

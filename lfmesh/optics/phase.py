@@ -135,7 +135,7 @@ def read_phase(path: Path) -> PhaseFunction:
     cosines = np.cos(np.deg2rad(angle))
     cosines[-1] = -1.0
     if (np.diff(cosines) >= 0.0).any():
-        raise FileError(f"{path}: two of its angles have the same cosine; leave one of them out")
+        raise FileError(f"{path}: two of its angles have the same cosine; omit one of them")
     return tabulated(cosines[::-1], value[::-1])
 
 

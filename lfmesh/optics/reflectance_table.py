@@ -81,11 +81,11 @@ def read_reflectance(path: Path) -> ReflectanceTable:
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise FileError(f"{path}: byte {error.start} is no UTF-8; a table of reflectance is UTF-8 text") from None
+        raise FileError(f"{path}: byte {error.start} is not UTF-8; a table of reflectance is UTF-8 text") from None
     try:
         rows = [row for row in csv.reader(text.splitlines()) if any(cell.strip() for cell in row)]
     except csv.Error as error:
-        raise FileError(f"{path}: no CSV: {error}") from None
+        raise FileError(f"{path}: not CSV: {error}") from None
     head = [cell.strip() for cell in rows[0]] if rows else []
     if sorted(head) != sorted(COLUMNS):
         raise FileError(f"{path}: its first line must name the columns {', '.join(COLUMNS)}")
@@ -93,7 +93,7 @@ def read_reflectance(path: Path) -> ReflectanceTable:
     for number, row in enumerate(rows[1:], start=2):
         wavelength, angle, reflectance = _numbers(path, number, head, row)
         if (wavelength, angle) in values:
-            raise FileError(f"{path}: row {number}: {wavelength:g} nm at {angle:g} degrees stands there twice")
+            raise FileError(f"{path}: row {number}: {wavelength:g} nm at {angle:g} degrees is given twice")
         values[wavelength, angle] = reflectance
     wavelengths, angles = sorted({w for w, _ in values}), sorted({a for _, a in values}, reverse=True)
     if not values or angles[0] != 90.0 or angles[-1] != 0.0:

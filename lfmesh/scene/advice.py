@@ -61,7 +61,7 @@ def _samples(scene: Scene) -> Iterator[str]:
     transport = scene.transport
     if transport.samples % transport.replicates:
         yield (
-            f"samples = {transport.samples} cannot be shared by {transport.replicates} replicates: rounded up to "
+            f"samples = {transport.samples} is not a multiple of {transport.replicates} replicates: rounded up to "
             f"{transport.samples_each * transport.replicates}"
         )
 
@@ -75,7 +75,7 @@ def _spreads(scene: Scene) -> Iterator[str]:
     channels = f" at {scene.channels} wavelengths each" if scene.channels > 1 else ""
     yield (
         f'transport.diffraction = "{chosen}": {count:,} particle{"s" if count != 1 else ""} are pictured by point '
-        f"spreads{channels}, which take some seconds apiece"
+        f"spreads{channels}, which take some seconds each"
     )
 
 
@@ -84,9 +84,9 @@ def _rough_camera(scene: Scene) -> Iterator[str]:
     rough = [format_path(where) for where in scene.rough_in_camera()]
     if not rough:
         return
-    yield f"{rough[0]} scatters light: rays are not aimed through the camera, and the picture needs many samples"
+    yield f"{rough[0]} scatters light, so rays are not aimed through the camera, and the picture needs many samples"
     if scene.lights:
-        yield f"{rough[0]} scatters light of lamps too: that is traced from the lamps on, and needs many samples"
+        yield f"{rough[0]} also scatters light of lamps, which is traced from the lamps and needs many samples"
 
 
 def doubtful(scene: Scene, facts: "FirstOrder") -> tuple[PictureWarning, ...]:
@@ -101,8 +101,7 @@ def _forward_in_fog(scene: Scene) -> Iterator[PictureWarning]:
         if everywhere and scene.transport.method == "forward":
             yield MissedLightWarning(
                 f"{medium.name or f'media[{number}]'} scatters light right before the lens, where the forward method "
-                "finds it too seldom: the picture may be too dark by more than its error says; "
-                'method = "adjoint" has no such trouble'
+                'rarely finds it, so the picture may be too dark by more than its error says; use method = "adjoint"'
             )
 
 
@@ -114,7 +113,7 @@ def _scattered_particles(scene: Scene) -> Iterator[PictureWarning]:
     rough = [format_path(where) for where, finish in scene.finishes() if finish.is_rough and where[0] != "camera"]
     for name in (*media, *rough):
         yield MissedLightWarning(
-            f"{name} scatters light: what it scatters of the light of particles is in the picture only in part"
+            f"{name} scatters light: the picture has only a part of the particles' light that it scatters"
         )
 
 
@@ -150,16 +149,16 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 def _beyond_infinity(facts: "FirstOrder", plane: str) -> Iterator[str]:
     """Warn that the array or sensor lies at no real image, and report the distances that are still sharp."""
-    sharp = "is sharp" if facts.microlens_f_number is None or facts.focused else "can be refocused"
-    reach = f"what {sharp}: {reach_in_words(facts.near_mm, facts.far_mm)}"
+    sharp = "sharp range" if facts.microlens_f_number is None or facts.focused else "refocus range"
+    reach = f"{sharp}: {reach_in_words(facts.near_mm, facts.far_mm)}"
     if math.isinf(facts.efl_mm):
-        yield f"the lens is afocal, and only light that converges has its image on the {plane}; {reach}"
+        yield f"the lens is afocal: only converging light has its image on the {plane}; {reach}"
         return
     inside = facts.rear_principal_plane_z_mm + facts.image_index * facts.efl_mm - facts.image_z_mm
     if inside > 0.0:
         where = f"{inside:.4g} mm inside the focal length: the camera is focused beyond infinity"
     else:
-        where = "where the lens images no object before it"
+        where = "where the lens images no object in front of it"
     yield f"the {plane} stands {where}; {reach}"
 
 
@@ -178,12 +177,11 @@ def _refocus_lenslets(scene: Scene, facts: "FirstOrder", focus_mm: float) -> str
     camera = scene.camera
     distance = in_focus_distance_mm(camera, scene.primary_nm, facts.focused, focus_mm)
     found = (
-        f"focus_mm = {camera.focus_mm:g}, but the lenslets image what is in focus at "
-        f"{length_in_words(facts.object_distance_mm)}"
+        f"focus_mm = {camera.focus_mm:g}, but the lenslets are focused on {length_in_words(facts.object_distance_mm)}"
     )
     if camera.focus_from == "first_vertex" and 0.0 < distance < math.inf:
         return f"{found}; give mla.distance_mm = {distance:.6g}"
-    return f"{found}; give mla.distance_mm, and leave focus_mm out"
+    return f"{found}; give mla.distance_mm, and omit focus_mm"
 
 
 def _covering(facts: "FirstOrder") -> Iterator[str]:
@@ -192,8 +190,8 @@ def _covering(facts: "FirstOrder") -> Iterator[str]:
         if abs(at.virtual_depth) < at.covering_depth:
             which = f"lenslets of focal length {at.focal_length_mm:.4g} mm" if len(facts.focused) > 1 else "lenslets"
             yield (
-                f"{which} leave gaps between what each sees of the plane they are focused on: its virtual depth is "
-                f"{abs(at.virtual_depth):.3g}, and all of it is covered from {at.covering_depth:.3g} on"
+                f"{which} leave gaps in the plane they are focused on: its virtual depth is "
+                f"{abs(at.virtual_depth):.3g}, and full coverage needs {at.covering_depth:.3g} or more"
             )
 
 
@@ -202,9 +200,9 @@ def _between_sections(scene: Scene) -> Iterator[str]:
     for i, surface in enumerate(scene.camera.lens.surfaces):
         if surface.form is not None and not surface.form.symmetric:
             yield (
-                f"surface {i} is a {surface.section_key}, not symmetric about x and y. First-order figures, and clear "
-                "apertures that are left out, are those of the sections along x and y. Light between them may have its "
-                "image elsewhere, or be cut off"
+                f"surface {i} is a {surface.section_key}, not symmetric about x and y. First-order figures and "
+                "omitted clear apertures are computed from the sections along x and y only. Light between them may "
+                "focus elsewhere, or be cut off"
             )
 
 
@@ -217,8 +215,8 @@ def _sections(facts: "FirstOrder") -> Iterator[str]:
             f"{length:.5g} mm" if math.isfinite(length) else "infinite" for length in (facts.efl_mm, facts.efl_x_mm)
         )
         yield (
-            f"the lens is anamorphic: its focal length is {in_y} in y and {in_x} in x; "
-            "first-order figures, and what decoding, refocusing and depth take from them, are those in y"
+            f"the lens is anamorphic: its focal length is {in_y} in y and {in_x} in x; first-order figures, "
+            "decoding, refocusing and depth use the one in y"
         )
     # Blur of a point in x; below the width of the Airy disk it is invisible.
     ratio = facts.image_index * facts.working_f_number
@@ -255,8 +253,8 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         clear = clears[number]
         if math.isinf(found):
             yield (
-                f"rays of the stop's axial beam end at surfaces[{number}]: they miss it, or it reflects them totally; "
-                "that surface limits the light, not the stop"
+                f"rays of the stop's axial beam end at surfaces[{number}], because they miss it or are totally "
+                "reflected; that surface limits the light, not the stop"
             )
         elif number != lens.stop and abs(found) > clear * (1 + CLOSE):
             yield (
@@ -267,15 +265,14 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         elif number != lens.stop and abs(proven) > clear * (1 + CLOSE):
             yield (
                 f"surfaces[{number}] may limit the light, not the stop: rays of the axial beam fill "
-                f"{2 * abs(found):.4g} mm of its clear aperture of {2 * clear:.4g} mm, but it is not proven that none "
-                "lies farther out"
+                f"{2 * abs(found):.4g} mm of its clear aperture of {2 * clear:.4g} mm, but some may lie farther out"
             )
     if camera.lens.has_meshes:
         yield "the lens has surfaces that are meshes: clear apertures were compared with the paraxial axial beam only"
     elif any(any(each.pose.shift_mm) or any(each.pose.tilt_deg) for each in camera.lens.elements):
         yield "the lens has posed elements: clear apertures were compared with the axial beam of the prescription only"
     if not beam.found_mm:
-        yield "the stop is larger than the glass: no ray along the axis reaches its edge, which limits no light"
+        yield "the stop is larger than the glass and limits no light: no ray along the axis reaches its edge"
 
 
 def _beyond_norm(scene: Scene) -> Iterator[str]:
@@ -288,8 +285,8 @@ def _beyond_norm(scene: Scene) -> Iterator[str]:
         if growth > _GROWTH:
             yield (
                 f"surfaces[{number}] is clear up to {rim:g} mm, and its qcon has norm_radius_mm = "
-                f"{surface.qcon.norm_radius_mm:g}: beyond that its polynomials grow, at the rim to {growth:.3g} times "
-                "what they are there"
+                f"{surface.qcon.norm_radius_mm:g}: beyond it the polynomials grow, to {growth:.3g} times at the "
+                "rim"
             )
 
 
@@ -319,10 +316,7 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
             f"microlenses at f/{microlens:.3g}{_matching(scene, facts, microlens)}"
         )
     if pitch <= 0:
-        yield (
-            "the lens's exit pupil lies between array and sensor: the micro-images fall on one another and tell no "
-            "directions"
-        )
+        yield "the lens's exit pupil lies between array and sensor: the micro-images coincide and show no directions"
         return
     if diameter > pitch * (1 + _TOUCHING_TOLERANCE):
         yield (
@@ -337,7 +331,7 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
             f"{1 - math.pi / 4 * lit**2 / cell:.0%} of the pixels stay dark"
         )
     if pitch < 2:
-        yield f"micro-images are {pitch:.3g} pixels apart: too few to tell directions"
+        yield f"micro-images are {pitch:.3g} pixels apart: too few to distinguish directions"
 
 
 def _matching(scene: Scene, facts: "FirstOrder", microlens: float) -> str:
@@ -383,7 +377,7 @@ def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
         error = facts.kick_error
         advice = '; take transport.diffraction = "lenslets"'
         if error is not None and error.white_with >= error.white_without:
-            shares = f"off by {percent(error.white_with)} of their light for {percent(error.white_without)}"
+            shares = f"off by {percent(error.white_with)} of their light instead of {percent(error.white_without)}"
             advice = f'; with transport.diffraction = "lenslets" white pictures are no nearer: {shares}'
         elif error is not None:
             edges = "" if error.edge_with is None else f", of edges {percent(error.edge_with)}"
@@ -394,7 +388,7 @@ def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
         if 1.0 < width < math.inf:
             yield DiffractionWarning(
                 f"the {whose} Airy disk is {width:.3g} {samples} wide (f/{f_number:.3g}, "
-                f"{facts.airy_wavelength_nm:g} nm): diffraction blurs, and is not traced{advice}"
+                f"{facts.airy_wavelength_nm:g} nm), but diffraction is not traced{advice}"
             )
 
 
@@ -404,7 +398,10 @@ def _coverage(scene: Scene) -> Iterator[str]:
         return
     for side, lenslets, pixels in zip(("wide", "high"), mla.size_mm, sensor.size_mm, strict=True):
         if pixels < 0.9 * lenslets:
-            yield f"the sensor is {pixels:.4g} mm {side}, the array {lenslets:.4g} mm: outer ones go unseen"
+            yield (
+                f"the sensor is {pixels:.4g} mm {side}, the array {lenslets:.4g} mm: the outer lenslets are not "
+                "recorded"
+            )
         elif lenslets < 0.9 * pixels:
             yield f"the array is {lenslets:.4g} mm {side}, the sensor {pixels:.4g} mm: outer pixels stay dark"
     for axis in (0, 1):
@@ -413,8 +410,8 @@ def _coverage(scene: Scene) -> Iterator[str]:
         covered = min(0.5 * pixels, shift + 0.5 * lenslets) - max(-0.5 * pixels, shift - 0.5 * lenslets)
         if covered < 0.9 * min(lenslets, pixels):
             yield (
-                f"the array stands {abs(shift):.4g} mm beside the sensor along {'xy'[axis]}: of {pixels:.4g} mm it "
-                f"covers {max(covered, 0.0):.4g} mm, and the other pixels see no lenslets"
+                f"the array stands {abs(shift):.4g} mm beside the sensor along {'xy'[axis]}: it covers "
+                f"{max(covered, 0.0):.4g} mm of the sensor's {pixels:.4g} mm; the other pixels see no lenslets"
             )
 
 
@@ -433,7 +430,7 @@ def _targets(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         elif _outside(x, y, z, reach, facts):
             yield (
                 f"{name} is out of the field: at z = {z:g} mm the camera sees "
-                f"{' × '.join(f'{2 * half:.4g}' for half in half_field_mm(z, facts))} mm round the axis"
+                f"{' × '.join(f'{2 * half:.4g}' for half in half_field_mm(z, facts))} mm around the axis"
             )
         elif not facts.near_mm <= -z + reach or not -z - reach <= facts.far_mm:
             kind = "is sharp" if facts.focused or facts.microlens_f_number is None else "can be refocused"
@@ -476,4 +473,4 @@ def _light(scene: Scene) -> Iterator[str]:
     if not scene.targets and not any(medium.may_scatter for medium in scene.media):
         yield "there are no targets: the image will be black"
     elif not scene.lights and not any(target.material.emits for target in scene.targets):
-        yield "nothing shines: no lights, and no target with radiance_w_m2_sr; the image will be black"
+        yield "nothing emits: no lights, and no target with radiance_w_m2_sr; the image will be black"

@@ -40,7 +40,7 @@ def mistaken_for(wanted: FileKind, data: Mapping[str, Any]) -> str | None:
     found = kind_of(data)
     if found is None or found == wanted:
         return None
-    words = f"is a {found} file, and a {wanted} file is needed: {_TAKEN_BY[found]}"
+    words = f"is a {found} file, but a {wanted} file is needed: {_TAKEN_BY[found]}"
     if (found, wanted) == ("scene", "study"):
-        words += "; lfmesh study --template assembly with it writes a study"
+        words += "; lfmesh study --template assembly writes a study of it"
     return words

@@ -39,7 +39,7 @@ SAME_LINE_NM = 1.0
 """Limit, in nm, on the difference between other programs' roundings of a spectral line."""
 
 _LENS = "camera.lens"
-_TOO_DEEP = "tables or lists stand too deep in one another; no scene needs that"
+_TOO_DEEP = "tables or lists are nested too deeply for a scene"
 
 LIBRARY = "lib:"
 """Prefix that names a lens of the library, in place of a path."""
@@ -142,7 +142,7 @@ def _read(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise SceneError(f"{shown_path(path)}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise SceneError(f"{path}: byte {error.start} is no UTF-8; a scene file is UTF-8 text") from None
+        raise SceneError(f"{path}: byte {error.start} is not UTF-8; a scene file must be UTF-8 text") from None
 
 
 def read_text(path: Path) -> str:
@@ -159,7 +159,7 @@ def read_text(path: Path) -> str:
     with open_regular(path) as file:
         data = file.read(MOST_BYTES + 1)
     if len(data) > MOST_BYTES:
-        raise SceneError(f"{shown_path(path)}: larger than {MOST_BYTES // 1_000_000} MB; it has some kilobytes at most")
+        raise SceneError(f"{shown_path(path)}: larger than {MOST_BYTES // 1_000_000} MB, too large for a scene file")
     return data.decode("utf-8")
 
 
@@ -194,7 +194,7 @@ def _parse(text: str, name: str) -> dict[str, Any]:
         raise SceneError(f"{name}: {_TOO_DEEP}") from None
     except ValueError:
         # Python refuses integers of more than about 4,300 digits and impossible dates.
-        raise SceneError(f"{name}: holds an integer of thousands of digits, or an impossible date or time") from None
+        raise SceneError(f"{name}: contains an integer of thousands of digits, or an impossible date or time") from None
     _check_bounds(data, name)
     return data
 
@@ -216,7 +216,7 @@ def _check_bounds(data: dict[str, Any], name: str) -> None:
             elif isinstance(value, list):
                 inside += [((*where, number), item) for number, item in enumerate(value)]
             elif isinstance(value, int) and value.bit_length() > LONGEST_BITS:
-                raise SceneError(f"{name}: {format_path(where)} = {literal(value)}: no value of a scene is that large")
+                raise SceneError(f"{name}: {format_path(where)} = {literal(value)}: too large for any value of a scene")
         level = inside
         if not level:
             return
@@ -256,7 +256,7 @@ def _warn_of_other_light(scene: Scene, file: str, wavelengths_nm: tuple[float, .
     lines = ", ".join(f"{line:.10g}" for line in sorted(wavelengths_nm))
     warnings.warn(
         f"{file}: its primary wavelength is {wavelengths_nm[0]:.10g} nm, but the scene names none and is traced at "
-        f"{scene.primary_nm:g} nm; the file's are transport.wavelengths_nm = [{lines}]",
+        f"{scene.primary_nm:g} nm; for the file's wavelengths give transport.wavelengths_nm = [{lines}]",
         LensFileWarning,
         stacklevel=2,
     )
@@ -296,7 +296,7 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
     except SceneError as error:
         return [f"{_LENS}.file = {literal(file)}: {error}"], {}, ()
     if "file" in held:
-        return [f"{_LENS}.file = {literal(file)}: a lens file holds surfaces itself and may not name another"], {}, ()
+        return [f"{_LENS}.file = {literal(file)}: a lens file has its own surfaces and must not name another"], {}, ()
     if any(key in lens for key in STOP_SIZES):
         held = {key: value for key, value in held.items() if key not in STOP_SIZES}
     if isinstance(lens.get("coatings"), dict):

@@ -96,5 +96,5 @@ def found(path: Path, digest: str, folder: Path) -> Path:
         if digest_of(place) == digest:
             return place
     if present:
-        raise FileError(f"{present[0]} has changed since the run began; put back what it was")
-    raise FileError(f"{path} is missing, which the run began with; put it back, or beside {folder}")
+        raise FileError(f"{present[0]} has changed since the run began; restore the original")
+    raise FileError(f"{path} is missing, but the run began with it; restore it, or put it beside {folder}")

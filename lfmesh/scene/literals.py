@@ -35,7 +35,7 @@ def literal(value: Any, depth: int = 0) -> str:
         return "inf" if value > 0 else "-inf"
     if isinstance(value, int) and abs(value).bit_length() > LONGEST_BITS:
         # Python refuses to write integers of thousands of decimal digits.
-        return f"an integer of some {round(abs(value).bit_length() * math.log10(2))} digits"
+        return f"an integer of about {round(abs(value).bit_length() * math.log10(2))} digits"
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {literal(item, depth + 1)}" for key, item in value.items()) + " }"
     if isinstance(value, list | tuple):

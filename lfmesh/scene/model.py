@@ -354,7 +354,7 @@ def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
             return Fault(where, None, f"must be a list of tables: write [[{heading}]] above each of them")
         return Fault(where, value, f"must be a list{meaning and f': {meaning}'}")
     if kind == "union_tag_not_found":
-        return Fault(where, value, "needs a key `kind` that says what it is")
+        return Fault(where, value, "needs a key `kind` that names its type")
     if kind == "union_tag_invalid":
         tags = [tag.strip(" '") for tag in str(limits["expected_tags"]).split(",")]
         tag = str(limits["tag"])
@@ -379,7 +379,7 @@ def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
         "less_than": f"must be below {_short(limits.get('lt'))}",
         "less_than_equal": f"must be {_short(limits.get('le'))} or less",
         "too_short": "must not be empty",
-        "too_long": f"may have {limits.get('max_length')} entries at most",
+        "too_long": f"may have at most {limits.get('max_length')} entries",
         "value_error": str(limits.get("error")),
     }.get(kind, f"must be {message}")
     return Fault(where, value, valid)

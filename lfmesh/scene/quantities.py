@@ -102,7 +102,7 @@ def _known_metal(name: str) -> str:
 
 def path_fault(path: str) -> str | None:
     """Return the reason why no file can have this name, or None."""
-    return "a file's name holds no NUL character" if "\0" in path else None
+    return "a file name must not contain a NUL character" if "\0" in path else None
 
 
 def _existing(path: str, info: ValidationInfo) -> str:

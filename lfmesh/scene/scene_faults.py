@@ -21,7 +21,7 @@ from lfmesh.scene.settings.transport import PRIMARY_NM
 FILM_BYTES = 48
 LENSLET_BYTES = 32
 
-NEEDS_BANDS = "needs camera.sensor.bands: a spectrum of light has power by the nm, and single wavelengths have no width"
+NEEDS_BANDS = "needs camera.sensor.bands: a light's spectrum is power per nm, and single wavelengths have no width"
 
 
 def scene_faults(scene: SceneParts) -> Iterator[Fault]:
@@ -129,7 +129,7 @@ def _coating_faults(scene: SceneParts) -> Iterator[Fault]:
                         break
     for name, coating in scene.coatings.items():
         if of_lens.get(name, coating) != coating:
-            yield Fault(("coatings", name), None, "the lens has another coating of this name; take another one")
+            yield Fault(("coatings", name), None, "the lens has another coating of this name; use another name")
     for where, name in scene.coating_uses():
         if why := unknown_fault(name, tuple(scene.all_coatings)):
             yield Fault(where, name, why)
@@ -151,36 +151,34 @@ def _polarisation_faults(scene: SceneParts) -> Iterator[Fault]:
             yield Fault(
                 where,
                 name,
-                f"transport.polarisation needs the phases of this coating, which its {coating.kind} does not tell; "
-                "give it layers",
+                f"transport.polarisation needs the phases of this coating, which {coating.kind} does not give; give "
+                "layers",
             )
     for where, finish in scene.finishes():
         if finish.is_rough:
-            yield Fault(where, finish.kind, "transport.polarisation follows light at polished faces only; polish it")
+            yield Fault(where, finish.kind, "transport.polarisation handles polished faces only; omit the finish")
     for i, surface in enumerate(scene.camera.lens.surfaces):
         if surface.paraxial:
             yield Fault(
                 ("camera", "lens", "surfaces", i, "paraxial"),
                 True,
-                "transport.polarisation follows light at real interfaces only; give the lens radii and glass",
+                "transport.polarisation handles real interfaces only; give the lens radii and glass",
             )
     for i, target in enumerate(scene.targets):
         if target.material.gloss is not None:
             yield Fault(
                 ("targets", i, "material", "gloss"),
                 None,
-                "transport.polarisation knows matt targets and glass, which a gloss is neither of; leave it out",
+                "transport.polarisation handles matt targets and glass, but no gloss; omit it",
             )
     if scene.camera.sensor.cover is not None:
-        yield Fault(
-            ("camera", "sensor", "cover"), None, "transport.polarisation stops at the array; leave the cover out"
-        )
+        yield Fault(("camera", "sensor", "cover"), None, "transport.polarisation ends at the array; omit the cover")
     if scene.camera.sensor.reflectance > 0.0:
         yield Fault(
             ("camera", "sensor", "reflectance"),
             scene.camera.sensor.reflectance,
-            "transport.polarisation needs the phases of what is reflected, which a share does not tell; leave "
-            "reflectance out",
+            "transport.polarisation needs the phases of the reflected light, which a share does not give; omit "
+            "reflectance",
         )
 
 
@@ -191,17 +189,17 @@ def _diffraction_faults(scene: SceneParts) -> Iterator[Fault]:
         return
     if chosen == "stop":
         if mla is not None:
-            why = 'makes pictures behind an array worse, where light is spread at the lenslets: take "lenslets"'
+            why = 'worsens pictures behind an array, because the lenslets spread the light: give "lenslets"'
             yield Fault(where, chosen, why)
         elif scene.transport.split != "transmit" or scene.transport.engine == "mesh":
-            why = 'is followed along the image path alone: take split = "transmit", and another engine than "mesh"'
+            why = 'works along the image path only: give split = "transmit" and an engine other than "mesh"'
             yield Fault(where, chosen, why)
     elif mla is None:
-        yield Fault(where, chosen, 'needs camera.mla; without an array take "stop"')
+        yield Fault(where, chosen, 'needs camera.mla; without an array give "stop"')
     elif mla.curved_finish.is_rough or mla.flat_finish.is_rough:
-        yield Fault(where, chosen, 'needs an array that is polished; take "none" with a rough finish')
+        yield Fault(where, chosen, 'needs a polished array; give "none" with a rough finish')
     if scene.transport.polarisation:
-        yield Fault(where, chosen, 'is not followed for polarised light; take "none" with transport.polarisation')
+        yield Fault(where, chosen, 'is not traced for polarised light; give "none" with transport.polarisation')
 
 
 def _glass_faults(scene: SceneParts) -> Iterator[Fault]:
@@ -264,15 +262,15 @@ def _absorption_faults(scene: SceneParts) -> Iterator[Fault]:
     if not named and scene.camera.lens.file is None:
         yield Fault(
             ("camera", "absorption"), True,
-            "neither lens, array nor cover has a glass of the catalogue; give such a glass by name, or leave "
-            "absorption out",
+            "neither lens, array nor cover has a glass of the catalogue; give such a glass by name, or omit "
+            "absorption",
         )  # fmt: skip
     for where, glass in named:
         for wavelength in _checked_nm(scene):
             try:
                 absorption_per_mm(glass, wavelength)
             except GlassError as error:
-                yield Fault(where, glass, f"camera.absorption: {error}; leave it out, or take another glass")
+                yield Fault(where, glass, f"camera.absorption: {error}; omit it, or use another glass")
                 break
 
 
@@ -300,8 +298,7 @@ def _lenslet_faults(scene: SceneParts) -> Iterator[Fault]:
             at = f" at {wavelength:g} nm" if wavelength != scene.primary_nm else ""
             yield Fault(
                 ("camera", "mla", medium), getattr(mla, medium),
-                f"has the index {n:.6g} beside {beside}{at}; it must be above {outside:.6g} to bend light as lenslets "
-                "do",
+                f"has the index {n:.6g} beside {beside}{at}; lenslets need an index above {outside:.6g}",
             )  # fmt: skip
             return
     n = refractive_index(plate, scene.primary_nm)
@@ -324,14 +321,14 @@ def _memory_faults(scene: SceneParts) -> Iterator[Fault]:
             ("camera", "sensor", "pixels"),
             list(sensor.pixels),
             f"with {counted(channels, 'channel')} the film takes {_gigabytes(film)} of "
-            f"memory, and this machine has {_gigabytes(physical_memory_bytes())}",
+            f"memory, but this machine has {_gigabytes(physical_memory_bytes())}",
         )
     lenslets = LENSLET_BYTES * mla.count[0] * mla.count[1] if mla is not None else 0
     if mla is not None and lenslets > physical_memory_bytes():
         yield Fault(
             ("camera", "mla", "count"),
             list(mla.count),
-            f"the lenslets take {_gigabytes(lenslets)} of memory, and this machine has "
+            f"the lenslets take {_gigabytes(lenslets)} of memory, but this machine has "
             f"{_gigabytes(physical_memory_bytes())}",
         )
 

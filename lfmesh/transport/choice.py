@@ -20,21 +20,21 @@ def engine_of(scene: Scene) -> tuple[str, str]:
     transport = scene.transport
     obstacle = obstacle_of(scene, transport.surface, transport.max_events)
     if transport.diffraction == "stop" and obstacle is not None:
-        raise SceneError(f'transport.diffraction = "stop" follows exact surfaces in their order: {obstacle}')
+        raise SceneError(f'transport.diffraction = "stop" needs sequential tracing of exact surfaces: {obstacle}')
     if transport.engine == "mesh":
         return "mesh", "as the scene asks; every lens surface, lenslet and target is a mesh in Embree"
     if transport.engine == "sequential":
         if obstacle is not None:
             raise SceneError(f'transport.engine = "sequential": {obstacle}; use "mesh" or "auto"')
         lost = "" if transport.split == "transmit" else "; reflections are left out"
-        return "sequential", f"as the scene asks; exact surfaces in their order{lost}"
+        return "sequential", f"as the scene asks; sequential, through exact surfaces{lost}"
     if obstacle is not None:
         return "mesh", f"{obstacle}"
     if transport.split != "transmit":
         if transport.method == "forward":
             return "mesh", f'split = "{transport.split}" follows reflections'
-        return "both", "the image path through exact surfaces in their order; other paths packet by packet"
-    return "sequential", "the scene asks for the image path alone; exact surfaces in their order"
+        return "both", "the image path sequentially through exact surfaces; other paths packet by packet"
+    return "sequential", "the scene asks for the image path only; sequential, through exact surfaces"
 
 
 def obstacle_of(scene: Scene, surface: str, max_events: int, *, tracing: bool = False) -> str | None:
@@ -50,13 +50,13 @@ def obstacle_of(scene: Scene, surface: str, max_events: int, *, tracing: bool = 
         For given rays.
     """
     if scene.transport.polarisation:
-        return "transport.polarisation is the mesh engine's"
+        return "transport.polarisation needs the mesh engine"
     if scene.transport.diffraction != "none" and tracing:
-        return "transport.diffraction turns light packet by packet"
+        return "transport.diffraction deflects light packet by packet"
     if scene.media and tracing:
         return "media are followed packet by packet"
     if surface != "exact":
-        return f'surface = "{surface}" is a mesh\'s'
+        return f'surface = "{surface}" needs a mesh'
     if scene.camera.sensor.cover is not None and tracing:
         return "light is followed through the sensor's cover packet by packet"
     lens = scene.camera.lens

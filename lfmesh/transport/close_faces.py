@@ -327,10 +327,10 @@ def _along(face: _Face, facets: Index, points: Array, ways: Array) -> tuple[Arra
 def _told(scene: Scene, one: int, other: int, close: _Close, reach: float) -> str:
     """Return the error message for two faces."""
     x, y, z = close.place
-    same = "let both have the same facets there, or " if scene.targets[other].refractor is not None else ""
+    same = "give both the same facets there, " if scene.targets[other].refractor is not None else ""
     return (
-        f"{named_target(scene, one)} and {named_target(scene, other)}: their faces are {plain(close.gap, 2)} mm apart "
-        f"near ({x:.4g}, {y:.4g}, {z:.4g}) mm, where the facets stand {plain(close.stand_off, 2)} mm off the curved "
-        f"faces. Rays would miss one of them; {same}leave {plain(reach, 2)} mm or more between them, or take "
-        "finer meshes"
+        f"{named_target(scene, one)} and {named_target(scene, other)}: their faces are {plain(close.gap, 2)} mm "
+        f"apart near ({x:.4g}, {y:.4g}, {z:.4g}) mm, but their facets are off the curved faces by "
+        f"{plain(close.stand_off, 2)} mm, so rays would miss one of them; {same}leave {plain(reach, 2)} mm or more "
+        "between them, or use finer meshes"
     )

@@ -241,9 +241,8 @@ class Workspace:
             handled += self.advance(station)
             if handled > most:
                 raise LfmeshError(
-                    f"packets have more than {MOST_EVENTS_EACH:,} events each with all their children: give "
-                    f"weight_cutoff a larger value than {self.options.thinning.cutoff:g}, or max_events a smaller one "
-                    f"than {self.options.max_events}"
+                    f"packets have more than {MOST_EVENTS_EACH:,} events each, children included: raise weight_cutoff "
+                    f"above {self.options.thinning.cutoff:g}, or lower max_events below {self.options.max_events}"
                 )
 
     def advance(self, station: int) -> int:
@@ -352,17 +351,16 @@ class Workspace:
             ends = int(self.tops[ENDED]) + 2 * packets
             if ends > MOST_ENDS:
                 raise LfmeshError(
-                    f"{self.chunk:,} rays or fewer end in more than {MOST_ENDS:,} packets: give weight_cutoff a larger "
-                    f"value than {self.options.thinning.cutoff:g}, or max_events a smaller one than "
-                    f"{self.options.max_events}"
+                    f"{self.chunk:,} rays or fewer end in more than {MOST_ENDS:,} packets: raise weight_cutoff above "
+                    f"{self.options.thinning.cutoff:g}, or lower max_events below {self.options.max_events}"
                 )
             self.ended = _grown(self.ended, ends)
         if self.options.record:
             need = int(self.tops[NODES]) + 4 * packets
             if self.recorded + need > MOST_VERTICES:
                 raise LfmeshError(
-                    f"the paths have more than {MOST_VERTICES:,} vertices: launch fewer rays, or give weight_cutoff a "
-                    f"larger value than {self.options.thinning.cutoff:g}"
+                    f"the paths have more than {MOST_VERTICES:,} vertices: launch fewer rays, or raise weight_cutoff "
+                    f"above {self.options.thinning.cutoff:g}"
                 )
             self.nodes = _grown(self.nodes, need)
 

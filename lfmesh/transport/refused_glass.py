@@ -65,7 +65,7 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     if not bodies:
         return ranks
     if len(bodies) > MOST_BODIES:
-        raise SceneError(f"{len(bodies)} targets are glass bodies; there can be {MOST_BODIES}")
+        raise SceneError(f"{len(bodies)} targets are glass bodies; the limit is {MOST_BODIES}")
     priority = {i: _priority(scene, i) for i in bodies}
     names = {i: named_target(scene, i) for i in bodies}
     meshes = {i: targets[i].mesh for i in bodies}
@@ -129,7 +129,7 @@ def _cut(
         )
     return SceneError(
         f"{names[one]} and {names[other]}: these glass bodies cut each other {where}, and both have priority = "
-        f"{priority[one]}; give the one that is to fill what they share the higher one, or move one"
+        f"{priority[one]}; give a higher one to the body that fills the overlap, or move one"
     )
 
 
@@ -232,9 +232,9 @@ def _refuse_wrong_shells(parts: Shells, names: dict[int, str]) -> None:
             if _turns(own, _beside(facet, JUST_BESIDE))[0] != 1 or _turns(own, _beside(facet, -JUST_BESIDE))[0] != 0:
                 x, y, z = facet[0].mean(axis=0)
                 raise SceneError(
-                    f"{names[i]}: there is not glass behind its surface and air before it near "
+                    f"{names[i]}: its surface does not have glass behind it and air in front of it near "
                     f"({x:.4g}, {y:.4g}, {z:.4g}) mm; its {len(own)} closed surfaces must not cut each other, outer "
-                    "ones must face outwards, those of hollows into them"
+                    "ones must face outwards, and surfaces of hollows into the hollow"
                 )
 
 
@@ -305,7 +305,7 @@ def _holders(
                 if (first == WHOLE) == (second == WHOLE):
                     raise SceneError(
                         f"{names[i]} and {names[j]}: these glass bodies overlap, neither inside the other, and both "
-                        f"have priority = {priority[i]}; give the one that is to fill what they share the higher one"
+                        f"have priority = {priority[i]}; give a higher one to the body that fills the overlap"
                     )
                 inner, outer = (i, j) if first == WHOLE else (j, i)
                 holders[inner].add(outer)
@@ -330,7 +330,7 @@ def _refuse_crowds(parts: Shells, names: dict[int, str], near: float) -> None:
         if most >= MOST_AT_ONCE:
             x, y, z = places[int(counts.argmax())]
             raise SceneError(
-                f"{names[i]} lies inside {most} other glass bodies near ({x:.4g}, {y:.4g}, {z:.4g}) mm; it can lie in "
+                f"{names[i]} lies inside {most} other glass bodies near ({x:.4g}, {y:.4g}, {z:.4g}) mm; the limit is "
                 f"{MOST_AT_ONCE - 1}"
             )
 
@@ -365,7 +365,7 @@ def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[
                 x, y, z = place
                 raise SceneError(
                     f"{named_target(scene, j)} lies on the glass of {named_target(scene, i)} near "
-                    f"({x:.4g}, {y:.4g}, {z:.4g}) mm, too closely for rays to tell which comes first: leave "
+                    f"({x:.4g}, {y:.4g}, {z:.4g}) mm, too close for rays to find the first surface: leave "
                     f"{plain(2.0 * near, 1)} mm or more between them, or let it reach as far into the glass"
                     + (", with another priority" if j in bodies else "")
                 )
@@ -387,9 +387,9 @@ def closed_gaps(scene: Scene, targets: list[TargetMesh]) -> list[str]:
             size = max(float(np.ptp(targets[k].mesh.vertices, axis=0).max()) for k in (i, j))
             if gap is not None and gap > AS_CLOSE * FLOAT32_GRAIN * size:
                 lines.append(
-                    f"{named_target(scene, i)} and {named_target(scene, j)}: faces {plain(gap, 2)} mm apart are taken "
-                    f"to touch, without air between them, as all that are nearer than {plain(near, 2)} mm "
-                    f"({CUT:g} of the smaller body's size); leave more between them if there is air"
+                    f"{named_target(scene, i)} and {named_target(scene, j)}: faces {plain(gap, 2)} mm apart are "
+                    f"taken to touch, without air between them. If there is air, leave more than {plain(near, 2)} mm "
+                    f"({CUT:g} of the smaller body's size)"
                 )
     return lines
 
@@ -407,9 +407,9 @@ def cut_bodies(scene: Scene, targets: list[TargetMesh]) -> list[str]:
                 continue
             if _cut_each_other(targets[i].mesh, targets[j].mesh):
                 lines.append(
-                    f"{named_target(scene, i)} and {named_target(scene, j)} cut each other, and their facets stand for "
-                    "curved surfaces. Rays that pass the cut as near as facets stand off these may be lost, or take "
-                    "one body for the other. Finer meshes have less of it"
+                    f"{named_target(scene, i)} and {named_target(scene, j)} cut each other, and their facets "
+                    "approximate curved surfaces. Rays that pass close to the cut may be lost, or take one body for "
+                    "the other. Use finer meshes"
                 )
     return lines
 

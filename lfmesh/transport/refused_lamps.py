@@ -34,8 +34,8 @@ def refuse_camera_and_lamps_inside(scene: Scene, bodies: Bodies, front: Array) -
     body = _holding(bodies, front)
     if body is not None:
         raise SceneError(
-            f"{named_target(scene, body)}: the camera's first surface stands inside this glass; the camera must stand "
-            "in air: move the body away, or give it a hollow round the camera, a surface that faces inwards"
+            f"{named_target(scene, body)}: the camera's first surface lies inside this glass, but the camera must "
+            "stand in air: move the body away, or give it a hollow around the camera, a surface that faces inwards"
         )
     for number, light in enumerate(scene.lights):
         near = {i: each for i, each in bodies.items() if _reaches(each.box_mm, light.region)}
@@ -61,8 +61,8 @@ def _refuse_lamp_inside(scene: Scene, bodies: Bodies, number: int, light: Light)
         body = next((i for i, each in bodies.items() if _meets(each, region)), None)
     if body is not None:
         raise SceneError(
-            f"lights[{number}].{light.place_in_words} lies inside {named_target(scene, body)}; a lamp must stand in "
-            "air: move it, or give the body a hollow round it, a surface that faces inwards"
+            f"lights[{number}].{light.place_in_words} lies inside {named_target(scene, body)}, but a lamp must stand "
+            "in air: move it, or give the body a hollow around it, a surface that faces inwards"
         )
 
 

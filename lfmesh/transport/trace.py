@@ -319,7 +319,7 @@ def _at_level(world: World, tables: Tables, level: int) -> Tables:
     surfaces["level"][world.lens_shape.analytic] = level
     bare = not len(tables.lens.patches) or (tables.mla.present and not len(tables.mla.patches))
     if level == PATCH and bare:
-        raise LfmeshError('surface = "patch": build the scene with transport.surface = "patch" for that')
+        raise LfmeshError('surface = "patch": needs a scene built with transport.surface = "patch"')
     return tables._replace(lens=tables.lens._replace(surfaces=surfaces))
 
 

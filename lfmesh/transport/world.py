@@ -30,6 +30,7 @@ from lfmesh.geometry.surfaces.division import divided
 from lfmesh.geometry.surfaces.tessellation import element, revolved
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
+from lfmesh.scene.literals import counted
 from lfmesh.transport.aims.aim_table import all_before, shapes_in_camera, unaimed
 from lfmesh.transport.aims.ghost_aim import ghost_tables
 from lfmesh.transport.built import Key, keep, key_of, known, let_go, refuse_other
@@ -134,8 +135,9 @@ class World(Shown):
         bodies = len(self.scene.targets), len(self.scene.lights)
         name = f"{self.scene.name!r}, " if self.scene.name else ""
         return (
-            f"<World: {name}{len(self.lens_shape.elements)} lens elements, "
-            f"{'with' if self.tables.mla.present else 'no'} microlenses, {bodies[0]} targets, {bodies[1]} lights>"
+            f"<World: {name}{counted(len(self.lens_shape.elements), 'lens element')}, "
+            f"{'with' if self.tables.mla.present else 'no'} microlenses, "
+            f"{counted(bodies[0], 'target')}, {counted(bodies[1], 'light')}>"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -244,7 +246,7 @@ class World(Shown):
             No body has this name.
         """
         if name not in self.mesh_names:
-            raise LfmeshError(f"no mesh is called {name!r}; there are {', '.join(self.mesh_names)}")
+            raise LfmeshError(f"unknown mesh {name!r}; valid are {', '.join(self.mesh_names)}")
         kind, _, number = name.rstrip("]").partition("[")
         makers: dict[str, Callable[[], trimesh.Trimesh]] = {
             "lens": lambda: self._in_world(
@@ -435,8 +437,8 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     form = scene.camera.mla.form if scene.camera.mla is not None else None
     if form is not None and scene.transport.surface != "exact" and (form.decenter_mm or form.radius_error):
         raise SceneError(
-            f'transport.surface = "{scene.transport.surface}": facets are those of a perfect lenslet, and '
-            'camera.mla.form asks for errors of single ones; use "exact", or leave decenter_mm and radius_error out'
+            f'transport.surface = "{scene.transport.surface}": facets are those of a perfect lenslet, but '
+            'camera.mla.form has errors of single ones; use "exact", or omit decenter_mm and radius_error'
         )
     lines = Lines.of(scene)
     wavelengths_nm = lines.wavelengths_nm

@@ -36,9 +36,9 @@ def checked_kind(path: Path, what: str, endings: Collection[str] = PICTURES) -> 
     ending = path.suffix.lower()
     if ending not in endings:
         found = f"ends in {path.suffix}" if path.suffix else "has no ending"
-        raise FileError(f"{path}: {found}; {what} is one of {', '.join(endings)}")
+        raise FileError(f"{path}: {found}; {what} must end in one of {', '.join(endings)}")
     if not path.parent.is_dir():
-        raise FileError(f"{path}: there is no folder {path.parent}; make it, or give another")
+        raise FileError(f"{path}: the folder {path.parent} does not exist; create it, or give another")
     return ending.lstrip(".")
 
 

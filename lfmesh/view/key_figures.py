@@ -17,7 +17,7 @@ from lfmesh.lightfield.photographs.depth_truth import DepthTruth
 from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Photograph
 from lfmesh.lightfield.views.field import LightField
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.scene.literals import percent
+from lfmesh.scene.literals import counted, percent
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import Status
 from lfmesh.transport.render.image import Image
@@ -48,16 +48,16 @@ def _channels(wavelengths_nm: Sequence[float], names: Sequence[str] = ()) -> tup
 @key_figures.register
 def _(image: Image) -> Rows:
     rows, columns = image.mean.shape[:2]
-    known = "not known: fewer than 2 replicates"
+    known = "unknown: fewer than 2 replicates"
     if image.mean.size > MOST_MEASURED:
         known = "in image.error"
     elif (measured := noise(image).relative_error) is not None:
-        known = f"{percent(measured[1])} of a lit pixel, the median"
+        known = f"median {percent(measured[1])} of a lit pixel"
     return [
         *(("warning", str(warning)) for warning in image.warnings),
         ("pixels", f"{columns} × {rows}"),
         _channels(image.wavelengths_nm, image.channel_names),
-        ("samples", f"{image.samples:g} a pixel"),
+        ("samples", f"{image.samples:g} per pixel"),
         ("replicates", f"{image.replicates} of {image.scene.transport.replicates}"),
         ("standard error", known),
         ("light on the sensor", f"{image.mean.sum():.4g} W"),
@@ -73,7 +73,7 @@ def _(field: LightField) -> Rows:
     height, width = field.size
     return [
         ("views", f"{columns} × {rows}"),
-        ("samples of a view", f"{width} × {height}"),
+        ("samples per view", f"{width} × {height}"),
         _channels(field.wavelengths_nm, field.scene.channel_names),
         ("unit", field.unit),
         ("sampling", field.sampling),
@@ -162,9 +162,9 @@ def _(analysis: LensAnalysis) -> Rows:
     facts = analysis.first_order
     at = "infinity" if math.isinf(analysis.object_mm) else f"{analysis.object_mm:.6g} mm"
     rows = [
-        ("focal length", f"{facts.efl_mm:.4f} mm, f/{facts.working_f_number:.3f} at work"),
+        ("focal length", f"{facts.efl_mm:.4f} mm, working f/{facts.working_f_number:.3f}"),
         ("object", at),
-        ("image plane", f"z = {analysis.image_z_mm:.4f} mm"),
+        ("image plane", f"z = {analysis.image_z_mm:z.4f} mm"),
         _channels(analysis.wavelengths_nm),
         ("Airy radius", f"{1e3 * analysis.airy_radius_mm:.3f} µm"),
     ]
@@ -182,18 +182,18 @@ def _(ledger: Ledger) -> Rows:
     into = ledger.emitted or 1.0
     rows = [("emitted", f"{ledger.emitted:.6g} {ledger.unit}")]
     rows += [(name, percent(share / into)) for name, share in sorted(ends, key=lambda end: -end[1]) if share > 0.0]
-    return [*rows, ("not closed", f"{ledger.imbalance:.1e} of what was emitted")]
+    return [*rows, ("not closed", f"{ledger.imbalance:.1e} of the emitted power")]
 
 
 @key_figures.register
 def _(paths: Paths) -> Rows:
-    rows = [("packets", f"{len(paths):,}"), ("weight in all", f"{paths.weight.sum():.6g}")]
+    rows = [("packets", f"{len(paths):,}"), ("total weight", f"{paths.weight.sum():.6g}")]
     for status in Status:
         of_status = paths.status == status
         if of_status.any():
             weight = paths.weight[of_status].sum()
             rows.append((status.name.lower(), f"{int(of_status.sum()):,} packets of weight {weight:.6g}"))
-    return [*rows, ("most interfaces met", f"{int(paths.events.max(initial=0))}")]
+    return [*rows, ("most interfaces of a packet", f"{int(paths.events.max(initial=0))}")]
 
 
 @key_figures.register
@@ -201,8 +201,8 @@ def _(world: World) -> Rows:
     mla = world.scene.camera.mla
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(world.scene.targets)]
     return [
-        ("scene", world.scene.name or "without a name"),
-        ("lens", f"{len(world.lens_shape.elements)} elements, f = {world.facts.efl_mm:.4g} mm"),
+        ("scene", world.scene.name or "unnamed"),
+        ("lens", f"{counted(len(world.lens_shape.elements), 'element')}, f = {world.facts.efl_mm:.4g} mm"),
         ("array", "none" if mla is None else f"{mla.count[0]} × {mla.count[1]} lenslets"),
         ("sensor", "{} × {} pixels".format(*world.scene.camera.sensor.pixels)),
         ("targets", ", ".join(targets) or "none"),
@@ -215,7 +215,7 @@ def _(scene: Scene) -> Rows:
     camera = scene.camera
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
     transport = scene.transport
-    rows = [("scene", scene.name or "without a name"), ("targets", ", ".join(targets) or "none")]
+    rows = [("scene", scene.name or "unnamed"), ("targets", ", ".join(targets) or "none")]
     rows += [("lights", str(len(scene.lights))), ("sensor", "{} × {} pixels".format(*camera.sensor.pixels))]
     if camera.mla is not None:
         rows.append(("array", f"{camera.mla.count[0]} × {camera.mla.count[1]} lenslets"))
@@ -225,7 +225,7 @@ def _(scene: Scene) -> Rows:
     except LfmeshError as fault:
         return [*rows, ("cannot be solved", str(fault))]
     focus = f"{facts.object_distance_mm:,.5g} mm"
-    return [*rows, ("focus", focus), ("lens", f"f = {facts.efl_mm:.4g} mm, f/{facts.working_f_number:.3g} at work")]
+    return [*rows, ("focus", focus), ("lens", f"f = {facts.efl_mm:.4g} mm, working f/{facts.working_f_number:.3g}")]
 
 
 @key_figures.register
@@ -243,7 +243,7 @@ def _(spread: PointSpread) -> Rows:
         lit,
         ("peak", f"{spread.peak_w_mm2:.4g} W/mm² per W/sr"),
         ("Airy radius", f"{1e3 * spread.airy_radius_mm:.4g} µm"),
-        ("light on the plane of the sensor", f"{spread.power_w:.4g} W per W/sr"),
+        ("light in the sensor plane", f"{spread.power_w:.4g} W per W/sr"),
         ("last change", percent(spread.change)),
     ]
 

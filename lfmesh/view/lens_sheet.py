@@ -177,7 +177,7 @@ def _light_field_part(figure: Any, light_field: LightFieldAnalysis) -> None:
         axes.set_ylim(0.0, 1.0)
         axes.grid(visible=True, linewidth=0.3)
         axes.set_title(f"MTF of photographs, {part}")
-        axes.set_xlabel("line pairs a mm, on the array")
+        axes.set_xlabel("line pairs per mm, on the array")
         if light_field.photographs and k == len(light_field.parts) - 1:
             axes.legend(loc="upper right", title="plane")
     _definitions(figure.add_subplot(grid[0, 4:]), light_field.definitions, DEFINITION_COLUMNS)
@@ -205,8 +205,8 @@ def _header(figure: FigureBase, analysis: LensAnalysis) -> None:
     figure.text(LEFT, 0.97, analysis.name, fontsize=15, fontweight="bold")
     figure.text(
         LEFT, 0.952,
-        f"f = {facts.efl_mm:.3f} mm   f/{facts.working_f_number:.2f} at work   object at {at}   "
-        f"image plane z = {analysis.image_z_mm:.3f} mm   Airy radius {UM * analysis.airy_radius_mm:.2f} µm",
+        f"f = {facts.efl_mm:.3f} mm   working f/{facts.working_f_number:.2f}   object at {at}   "
+        f"image plane z = {analysis.image_z_mm:z.3f} mm   Airy radius {UM * analysis.airy_radius_mm:.2f} µm",
         fontsize=10, color=GREY,
     )  # fmt: skip
     if words := analysis.focus_in_words:
@@ -386,7 +386,7 @@ def _lateral(axes: Axes, analysis: LensAnalysis) -> None:
     for values, look in zip(curves.lateral_mm, _lines(analysis), strict=True):
         axes.plot(UM * values, curves.height_mm, **look)
     if len(analysis.wavelengths_nm) == 1:
-        axes.text(0.05, 0.9, "none of one wavelength", transform=axes.transAxes)
+        axes.text(0.05, 0.9, "needs several wavelengths", transform=axes.transAxes)
     axes.set_ylim(0.0, curves.height_mm[-1])
     axes.set_title("lateral colour")
     axes.set_xlabel("chief ray from primary, µm")
@@ -423,7 +423,7 @@ def _mtf(axes: Axes, analysis: LensAnalysis, field: int) -> None:
     if field == 0:
         axes.legend(loc="upper right")
     axes.set_title(f"MTF, {_field_names(analysis)[field]}")
-    axes.set_xlabel("line pairs a mm")
+    axes.set_xlabel("line pairs per mm")
 
 
 def _definitions(axes: Axes, definitions: Sequence[str], columns: int) -> None:

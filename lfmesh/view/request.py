@@ -18,6 +18,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.array.lattice import centre
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene, load
+from lfmesh.scene.literals import counted
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.trace import trace
@@ -164,7 +165,7 @@ def launched(
     rays = together(parts)
     split = split or world.scene.transport.split
     how = "refracted only" if split == "transmit" else f"split: {split}"
-    words = f"{number} rays{' each' if len(given) > 1 else ''} from {'; '.join(given)}; {how}"
+    words = f"{counted(number, 'ray')}{' each' if len(given) > 1 else ''} from {'; '.join(given)}; {how}"
     dark = [f"{spec}: {why}" for spec, part in zip(given, parts, strict=True) if (why := why_dark(part))]
     return Launched(rays, (words, *dark), pixels_on_array(rays))
 
@@ -218,7 +219,7 @@ def together(parts: Sequence[Rays]) -> Rays:
         return first
     if len({part.unit for part in parts}) > 1:
         raise LfmeshError(
-            "rays launched from pixels (m² sr) and rays launched with the light (W) have no common power; show one kind"
+            "rays launched from pixels (m² sr) and rays launched with the light (W) have different units; show one kind"
         )
     arriving: dict[str, float] = {}
     for part in parts:

@@ -189,7 +189,7 @@ def _(spread: PointSpread) -> list[Panel]:
     return [
         Panel(
             "point spread", np.log10(np.maximum(mean, 10.0 ** (top - DECADES))), top - DECADES, top,
-            f"log₁₀ of W on {part}, of 1 W/sr", is_light=False,
+            f"log₁₀ of W on {part}, for 1 W/sr", is_light=False,
             size_mm=(columns * spread.step_mm, rows * spread.step_mm), place="on the sensor",
         )
     ]  # fmt: skip

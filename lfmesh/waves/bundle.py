@@ -193,7 +193,7 @@ class LensRays:
         if any(ideal) and not all(ideal):
             where = next(i for i, each in enumerate(lens.surfaces) if each.paraxial)
             raise LfmeshError(
-                f"camera.lens.surfaces[{where}] is an ideal lens beside real surfaces, and has no optical path there"
+                f"camera.lens.surfaces[{where}] is an ideal lens among real surfaces, and has no optical path"
             )
         return any(ideal)
 
@@ -289,8 +289,8 @@ class LensRays:
         share = self.aim.turned_share(field, entry[passes], wavelength_nm)
         if share > 0.0:
             raise LfmeshError(
-                f"rays of this field cross before the stop, {percent(share)} of those that pass the lens, so that "
-                "several go through one point of the stop; move the stop or make a clear aperture smaller"
+                f"rays of this field cross before the stop ({percent(share)} of the rays that pass the lens), so "
+                "several share one point of the stop; move the stop, or make a clear aperture smaller"
             )
         self._single_rays.add(key)
 

@@ -277,4 +277,4 @@ def _sharpened(share: Waves, phase: Array, change: Array) -> Waves:
 def _refuse_tilt(move: Array, where: str, value: list[float], *, turn: bool = False) -> None:
     straight = abs(move[2, 2]) if turn else move[0, 0] * move[1, 1] * abs(move[2, 2])
     if not math.isclose(straight, 1.0, abs_tol=STRAIGHT):
-        raise LfmeshError(f"{where} = {value}: a point spread needs array and sensor square to the axis; make it 0")
+        raise LfmeshError(f"{where} = {value}: a point spread needs array and sensor perpendicular to the axis; give 0")

@@ -129,7 +129,7 @@ class Extent:
         if places > MOST:
             cause, advice = CAUSES[int(np.argmax(wide))]
             raise LfmeshError(
-                f"{words}: its waves need grids of {places} places on a side, {MOST} are possible: "
+                f"{words}: its waves need grids of {places} points per side, above the limit of {MOST}: "
                 f"{cause} {2e3 * max(wide):.4g} µm wide; {advice}"
             )
         return Grid(scipy.fft.next_fast_len(places // 2) * 2, step, self.pupil.wavelength_mm, self.pupil.middle)

@@ -140,8 +140,8 @@ class Particle(NamedTuple):
         change = float(np.abs(sent - mean).max()) / mean
         if change > EVEN:
             raise LfmeshError(
-                f"the light that it scatters changes by {plain(change, 2)} of its mean over the lens's opening, and "
-                f"point spreads stand for changes up to {EVEN:g}; take smaller particles or a smaller opening"
+                f"its scattered light varies by {plain(change, 2)} of the mean over the lens's opening, but point "
+                f"spreads are valid up to {EVEN:g}; use smaller particles or a smaller opening"
             )
         return float(self.power_w[channel]) * mean
 

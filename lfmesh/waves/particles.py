@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 MOST_SPREADS = 2000
 """Most point spreads of a picture behind an array; each takes seconds."""
 
-LOOKING, STAGE = "particles looked at", "point spreads of particles"
+LOOKING, STAGE = "particles checked", "point spreads of particles"
 
 
 def particle_film(world: World, progress: Callable[[Progress], None] | None = None) -> UntracedLight:
@@ -129,11 +129,11 @@ def _refuse(world: World) -> None:
     scene, chosen = world.scene, f'transport.diffraction = "{world.scene.transport.diffraction}"'
     if scene.camera.sensor.bands:
         raise LfmeshError(
-            f"camera.sensor.bands: particles with {chosen} are pictured at single wavelengths; leave bands out"
+            f"camera.sensor.bands: particles with {chosen} are pictured at single wavelengths; omit bands"
         )
     spreads = _spreads(world)
     if scene.camera.mla is not None and spreads > MOST_SPREADS:
         raise LfmeshError(
-            f"{chosen}: particles behind an array need {spreads:,} point spreads, some seconds each, {MOST_SPREADS:,} "
-            'are possible; give fewer particles, or transport.diffraction = "none"'
+            f"{chosen}: particles behind an array need {spreads:,} point spreads of some seconds each; the limit is "
+            f'{MOST_SPREADS:,}; give fewer particles, or transport.diffraction = "none"'
         )

@@ -207,8 +207,8 @@ def warnings_of(beyond: float) -> list[PictureWarning]:
         return []
     return [
         DiffractionWarning(
-            f"steps and rims of lenslets send {beyond:.1%} of the light beyond the directions of the grid of waves: a "
-            "point spread is off by about as much; a smaller tolerance takes a finer grid"
+            f"steps and rims of lenslets send {beyond:.1%} of the light outside the directions of the wave grid, so "
+            "the point spread is off by about as much; give a smaller tolerance for a finer grid"
         )
     ]
 
@@ -258,7 +258,7 @@ def followed(
     scene, point = camera.scene, numbers_of("point_mm", point_mm)
     if isinstance(wavelengths_nm, str):
         if weights is not None:
-            raise LfmeshError(f'wavelengths_nm = "{wavelengths_nm}": a band has weights of its own; leave weights out')
+            raise LfmeshError(f'wavelengths_nm = "{wavelengths_nm}": a band has weights of its own; omit weights')
         wavelengths_nm, weights = lines_of_band(scene, wavelengths_nm)
     nm = tuple(numbers_of("wavelengths_nm", scene.primary_nm if wavelengths_nm is None else wavelengths_nm).tolist())
     shares = shares_of(nm, numbers_of("weights", [1.0] * len(nm) if weights is None else weights).tolist())
@@ -368,10 +368,10 @@ class Monochrome:
         share = float(last.mean.sum()) / last.entered_w
         if share < asked.tolerance:
             raise no_light(self.point)
-        changed = f"has changed by {change:.2g} of its light on the finest grid that is possible"
+        changed = f"still changes by {change:.2g} of its light on the finest possible grid"
         if asked.of_all:
             raise LfmeshError(
-                f"the picture of {self.words} {changed}, and {asked.tolerance:g} is allowed; give a point nearer the "
+                f"the picture of {self.words} {changed}, above {asked.tolerance:g}; give a point nearer the "
                 "plane in focus, or a smaller stop"
             )
         # Rounded up, so that the suggested tolerance is reached.

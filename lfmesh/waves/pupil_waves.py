@@ -223,7 +223,7 @@ def waves_of_field(
     bundle = rays.bundle(slope, pupil_grid(ACROSS, rim=True), wavelength_nm)
     passes = bundle.passes
     if not passes.any():
-        raise NoLightError("the lens lets none of its light pass; move it into the field of view")
+        raise NoLightError("the lens transmits none of its light; move it into the field of view")
     _refuse_few(bundle, LEAST_RAYS)
     traced = rays.traced(slope, bundle.entry[passes], wavelength_nm)
     direction, wavelength = traced.direction, wavelength_nm / NM_PER_MM
@@ -250,8 +250,8 @@ def waves_of_field(
     coefficients, misfit = _fitted((seen - middle) / half, columns)
     if misfit > REFUSED:
         raise LfmeshError(
-            f"the wavefront behind the lens is too aberrated: polynomials of degree {DEGREES[-1]} leave "
-            f"{plain(misfit, 2)} waves of it, {REFUSED:g} are allowed; give a smaller stop"
+            f"the wavefront behind the lens is too aberrated: polynomials of degree {DEGREES[-1]} leave a residual "
+            f"of {plain(misfit, 2)} waves, above the limit of {REFUSED:g}; give a smaller stop"
         )
     return PupilWaves(
         wavelength, middle, half, focus, radius, (traced.position, direction), traced.index_behind, coefficients, misfit
@@ -291,7 +291,7 @@ def _refuse_few(bundle: Bundle, least: int) -> None:
     """Refuse a point if the lens passes too few of its rays."""
     if bundle.passes.sum() < least:
         raise LfmeshError(
-            f"the lens lets {bundle.passes.sum()} of {len(bundle.passes)} rays of this point pass; move it"
+            f"only {bundle.passes.sum()} of {len(bundle.passes)} rays of this point pass the lens; move it"
         )
 
 

@@ -64,8 +64,8 @@ def refuse_values(scene: Scene, point: Array, window: int | None, oversample: in
     sides = [min(window or side, side) * oversample for side in scene.camera.sensor.pixels]
     if math.prod(sides) > MOST_PARTS:
         raise LfmeshError(
-            f"window = {window}, oversample = {oversample}: a picture of {sides[0]} × {sides[1]}; {MOST_PARTS:,} parts "
-            "of pixels are possible"
+            f"window = {window}, oversample = {oversample}: a picture of {sides[0]} × {sides[1]} samples; the limit is "
+            f"{MOST_PARTS:,}"
         )
     if not 0.0 < tolerance < 1.0:
         raise LfmeshError(f"tolerance = {shown(tolerance)}: must be between 0 and 1")
@@ -115,15 +115,13 @@ def refuse_scene(scene: Scene) -> None:
     """Refuse a scene with media, tanks, bodies of glass, a polariser or rough faces."""
     if scene.media or scene.tanks:
         name = "media" if scene.media else "tanks"
-        raise LfmeshError(f"{name}: a point spread is taken through air to the camera; leave them out")
+        raise LfmeshError(f"{name}: a point spread is computed through air only; omit them")
     body = next((i for i, target in enumerate(scene.targets) if target.refractor is not None), None)
     if body is not None:
-        raise LfmeshError(
-            f"targets[{body}] is a body of glass: a point spread is taken through air to the camera; leave it out"
-        )
+        raise LfmeshError(f"targets[{body}] is a body of glass: a point spread is computed through air only; omit it")
     if scene.camera.polariser_deg is not None:
         raise LfmeshError(
-            f"camera.polariser_deg = {scene.camera.polariser_deg:g}: a point spread has no polarisation; leave it out"
+            f"camera.polariser_deg = {scene.camera.polariser_deg:g}: a point spread has no polarisation; omit it"
         )
     rough = refused_in_order(scene)
     if rough is not None:

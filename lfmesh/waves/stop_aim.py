@@ -83,7 +83,7 @@ WORDS = {
     Edge.REFLECTED: "total reflection at surfaces[{}]",
     Edge.OTHER_SIDE: "another side of surfaces[{}]",
     Edge.CAUSTIC: "a caustic before the stop, beyond which no ray comes",
-    Edge.UNKNOWN: "nothing known: ray aiming did not converge",
+    Edge.UNKNOWN: "an unknown edge: ray aiming did not converge",
 }
 """Description of each edge, with the number of the surface."""
 

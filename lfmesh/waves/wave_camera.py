@@ -128,13 +128,11 @@ class WaveCamera:
         names = [target.name or f"targets[{i}]" for i, target in enumerate(self.scene.targets)]
         hiding = [body for body in found.body if body in names]
         if len(hiding) == len(ahead) > 0:
-            raise NoLightError(
-                f"point_mm = {point.tolist()}: {hiding[0]} hides it; move the point or leave the target out"
-            )
+            raise NoLightError(f"point_mm = {point.tolist()}: {hiding[0]} hides it; move the point, or omit the target")
         if hiding:
             raise LfmeshError(
-                f"point_mm = {point.tolist()}: {hiding[0]} hides it from {len(hiding)} of {len(ahead)} places of the "
-                "pupil; move the point or leave the target out"
+                f"point_mm = {point.tolist()}: {hiding[0]} hides it from {len(hiding)} of {len(ahead)} points of the "
+                "pupil; move the point, or omit the target"
             )
 
 

@@ -204,10 +204,10 @@ def wavefront_of(rays: LensRays, slope: float, wavelength_nm: float, across: int
     bundle, chief = rays.bundle(slope, pupil, wavelength_nm), rays.chief(slope, wavelength_nm)
     passes = bundle.passes
     if not chief.exists or not passes.any():
-        raise LfmeshError(f"{words}: the lens stops the chief ray of this field, by {bundle.ends.words_of(0)}")
+        raise LfmeshError(f"{words}: the chief ray of this field is blocked by {bundle.ends.words_of(0)}")
     passes[0] = False
     if not passes.any():
-        raise LfmeshError(f"{words}: the lens stops all rays of this field but the chief ray")
+        raise LfmeshError(f"{words}: the lens blocks all rays of this field but the chief ray")
     image = np.array([*chief.place, rays.image_z_mm])
     entry = np.vstack([chief.entry, bundle.entry[passes]])
     opd, radius = path_differences(rays, slope, entry, wavelength_nm, image)

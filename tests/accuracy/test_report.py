@@ -259,7 +259,7 @@ def test_the_page_holds_every_figure_table_and_paragraph(report: AccuracyReport,
     words += [verdict.about_time(study, way) for way in study.ways]
     for paragraph in words:
         assert paragraph in page.text
-    for label in ("triangles a surface", "error where a ray lands / mm", "processor time / s", "a tenth of a pixel"):
+    for label in ("triangles per surface", "error where a ray lands / mm", "processor time / s", "a tenth of a pixel"):
         assert label in page.text
     assert "tiny camera <&>" in page.text
     assert "<&>" not in written["accuracy.html"]
@@ -374,7 +374,7 @@ def test_words_choose_the_most_efficient_way_and_call_a_tie_a_tie() -> None:
         tie = verdict.most_efficient(
             image_study({"random": 0.1, "sobol": 0.08}, random=(random, 5.0), sobol=(sobol, 5.0), analog=(0.01, 0.001))
         )
-        assert f"adjoint, Sobol', at {sobol:.0f} / s, not told apart from adjoint, random by its rms error" in tie
+        assert f"adjoint, Sobol', at {sobol:.0f} / s, indistinguishable from adjoint, random by its rms error" in tie
         assert "times as efficient as adjoint, random" not in tie
 
 

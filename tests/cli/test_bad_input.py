@@ -124,7 +124,7 @@ SAID_BY_THE_SCENE = {
         "reflectance is given too",
     ),
     "missing mesh": ('"part.stl"', '"gone.stl"', "gone.stl"),
-    "mesh without units": ('units = "mm"\n', "", 'give units = "mm", say'),
+    "mesh without units": ('units = "mm"\n', "", 'give units, e.g. "mm"'),
     "unknown kind of mesh": ('"part.stl"', '"chart.png"', "must end in one of .stl"),
     "missing texture": ('"chart.png"', '"gone.png"', "gone.png"),
     "absurd sensor": ("pixels = [40, 40]", "pixels = [4000000, 4000000]", " GB of memory"),
@@ -153,7 +153,7 @@ def test_a_wrong_scene_gets_one_line(
 def test_max_samples_without_a_target_error_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = files(folder)
     assert main(["render", "scene.toml", "-o", "run", "--max-samples", "256"]) == 2
-    assert "--max-samples = 256: changes nothing without --target-error" in complaint(capsys)
+    assert "--max-samples = 256: has no effect without --target-error" in complaint(capsys)
     assert files(folder) == before
 
 
@@ -249,7 +249,7 @@ SAID_BY_THE_FILES = {
             'file = "part.stl"\nunits = "mm"',
             'refractor = { file = "part.stl", units = "mm", index = 1.5 }',
         ),
-        "a refractor must be a closed body; 3 of its edges join no second facet",
+        "a refractor must be a closed body; 3 of its edges belong to only one facet",
     ),
 }
 """What shows only when the scene is built."""
@@ -343,7 +343,8 @@ def test_a_process_says_it_the_same_way(folder: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("share", "reason"), [("3/2", "there is no share 3 of 2"), ("0/2", "give the number"), ("2", "give the number")]
+    ("share", "reason"),
+    [("3/2", "there is no share 3 of 2"), ("0/2", "give the share's number"), ("2", "give the share's number")],
 )
 def test_a_share_that_there_is_not_is_refused(
     folder: Path, capsys: pytest.CaptureFixture[str], share: str, reason: str

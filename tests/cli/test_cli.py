@@ -157,7 +157,7 @@ WRONG_ARGUMENTS = {
     "too many": ("render scene.toml more.toml -o run", "more.toml"),
     "bad choice": ("render scene.toml -o run --method fw", '"adjoint", "forward"'),
     "bad diffraction": ("render scene.toml -o run --diffraction lens", '"none", "lenslets"'),
-    "fraction": ("render scene.toml -o run --samples 4.5", '"4.5" is no whole number'),
+    "fraction": ("render scene.toml -o run --samples 4.5", '"4.5" is not a whole number'),
     "negative": ("render scene.toml -o run --samples -8", "--samples = -8"),
     "zero replicates": ("render scene.toml -o run --replicates 0", "--replicates = 0"),
     "no wavelength": ("render scene.toml -o run --wavelengths-nm green", '"green"'),
@@ -238,7 +238,7 @@ def test_ctrl_c_keeps_the_finished_replicates(
 ) -> None:
     renderer.replicates_until_ctrl_c = 3
     assert main(["render", "scene.toml", "-o", "run"]) == 130
-    assert "lfmesh render --resume run goes on with it." in capsys.readouterr().out
+    assert "Continue with lfmesh render --resume run." in capsys.readouterr().out
     image = lfmesh.open_run("run")
     assert (image.complete, image.replicates, image.samples) == (False, 3, 24.0)
     assert json.loads(Path("run/report.json").read_text())["complete"] is False
@@ -530,9 +530,9 @@ def test_accuracy_measures_the_scene_and_says_where_the_report_is(
         (["no.toml"], "no.toml: cannot be read"),
         (["scene.toml", "-o", "scene.toml"], "scene.toml: is a file; give a folder for the report"),
         (["scene.toml", "-o", "scene.toml/report"], "report: cannot be written: Not a directory"),
-        (["scene.toml", "--hard"], "--hard stands alone"),
-        (["--hard", "--quick"], "--hard stands alone"),
-        (["--hard", "-o", "report"], "--hard stands alone"),
+        (["scene.toml", "--hard"], "--hard takes no scene"),
+        (["--hard", "--quick"], "--hard takes no scene"),
+        (["--hard", "-o", "report"], "--hard takes no scene"),
         (["scene.toml", "--fast"], "Unknown option"),
     ],
 )

@@ -41,7 +41,7 @@ def test_conversion_says_what_became_of_the_lines(tmp_path: Path, capsys):
     (tmp_path / "in.zmx").write_text(SINGLET_ZMX.replace("CLAP 0 6.25 0", "SQAP 3 4 0"))
     assert main(["lens", "convert", str(tmp_path / "in.zmx"), str(tmp_path / "out.toml")]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "line 40: SQAP 3 4 0: approximated: a rectangular aperture: the circle round it" in out
+    assert "line 40: SQAP 3 4 0: approximated: a rectangular aperture: the circle around it" in out
     assert "lines: 37 taken, 1 approximated, 8 without effect" in out
     assert load_lens(tmp_path / "out.toml").surfaces[1].semi_diameter_mm == 5.0
 
@@ -95,7 +95,7 @@ def test_a_command_notes_what_is_doubtful_in_the_scenes_lens_file(tmp_path: Path
     assert main(["check", str(tmp_path / "scene.toml")]) == 0
     err = " ".join(capsys.readouterr().err.split())
     assert err.startswith("Note: ")
-    assert err.endswith(": approximated: a rectangular aperture: the circle round it [LensFileWarning]")
+    assert err.endswith(": approximated: a rectangular aperture: the circle around it [LensFileWarning]")
 
 
 @pytest.mark.parametrize(

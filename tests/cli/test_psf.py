@@ -34,7 +34,7 @@ def test_files_hold_the_point_spread_of_the_script(tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.parametrize(
-    ("point", "words"), [(["0", "0", "500"], "z below 0"), (["9000", "0", "-500"], "lets none of its light pass")]
+    ("point", "words"), [(["0", "0", "500"], "z below 0"), (["9000", "0", "-500"], "transmits none of its light")]
 )
 def test_points_that_cannot_be_are_refused_in_one_line(
     point: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -58,7 +58,7 @@ def test_what_is_wrong_with_the_folder_is_said_before_the_waves_are_followed(
         (tmp_path / "file" / "out", "cannot be written: Not a directory"),
         # Its rights let the superuser write there, and still nothing can be made.
         (Path("/proc/none"), "cannot be written"),
-        (tmp_path, "spread.png is there already"),
+        (tmp_path, "spread.png already exists"),
     ):
         assert main(["psf", SCENE, "--point-mm", "0", "0", "-500", "-o", str(folder)]) == 2
         assert words in " ".join(capsys.readouterr().err.split())
@@ -95,6 +95,6 @@ def test_ctrl_c_leaves_all_files_or_none(
 def test_a_band_is_taken_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     point = ["psf", SCENE, "--point-mm", "0", "0", "-500", "-o", str(tmp_path), "--band", "red"]
     assert main([*point, "--wavelengths-nm", "500"]) == 2
-    assert "leave --wavelengths-nm out" in " ".join(capsys.readouterr().err.split())
+    assert "omit --wavelengths-nm" in " ".join(capsys.readouterr().err.split())
     assert main(point) == 2
     assert "--band red: the scene has no bands" in " ".join(capsys.readouterr().err.split())

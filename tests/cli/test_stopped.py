@@ -81,7 +81,7 @@ def test_what_is_finished_is_said_and_gone_on_from(
     place, part, folder = COMMANDS[words]
     for done, said in (
         (0, f"Stopped: none of its {part}s is finished; the same command begins with the first.\n"),
-        (1, f"Stopped: 1 {part} kept in {folder}; the same command goes on.\n"),
+        (1, f"Stopped: 1 {part} kept in {folder}; the same command continues.\n"),
     ):
         with monkeypatch.context() as patch:
             stop_after(done, number, place, patch)
@@ -114,7 +114,7 @@ def test_ctrl_c_while_the_program_starts_is_no_traceback() -> None:
 def test_one_signal_ends_a_render_whose_packets_have_no_end(
     number: signal.Signals, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the second replicate on no packet moves on; what is finished is kept."""
+    """From the second replicate on no packet moves on; finished work is kept."""
     usual, started = Stacks.take, Tally.restart
     stuck, until = threading.Event(), time.monotonic() + HANGS_S
 
@@ -138,7 +138,7 @@ def test_one_signal_ends_a_render_whose_packets_have_no_end(
     monkeypatch.setattr(Tally, "restart", restart)
     assert main(["render", "scene.toml", "-o", "out"]) == SIGNALS[number]
     assert time.monotonic() < until
-    assert "1 of 4 replicates were finished" in " ".join(capsys.readouterr().err.split())
+    assert "interrupted after 1 of 4 replicates" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.usefixtures("_files")

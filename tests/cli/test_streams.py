@@ -39,7 +39,7 @@ def folder(tmp_path: Path) -> Path:
 def test_output_that_cannot_be_written_is_said_in_one_line(folder: Path) -> None:
     done = shell(folder, "$LFMESH schema > /dev/full")
     assert done.returncode == 2
-    assert done.stderr.startswith("lfmesh: what is printed: cannot be written")
+    assert done.stderr.startswith("lfmesh: standard output: cannot be written")
     assert done.stderr.count("\n") == 1
 
 
@@ -89,8 +89,8 @@ def test_a_run_folder_whose_name_is_no_text_is_refused_before_tracing(folder: Pa
     from lfmesh.files import run
 
     place = folder / os.fsdecode(b"run-\xff")
-    with pytest.raises(FileError, match=r"run-\\xff cannot be written: its path is no UTF-8"):
+    with pytest.raises(FileError, match=r"run-\\xff cannot be written: its path is not UTF-8"):
         run.prepare(place)
-    with pytest.raises(FileError, match="no NUL"):
+    with pytest.raises(FileError, match="must not contain a NUL"):
         run.prepare(folder / "run\0")
     assert [path.name for path in folder.iterdir()] == ["scene.toml"]

@@ -52,13 +52,13 @@ KINDS = {
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("check lens.toml", "lens.toml: is a lens file, and a scene file is needed: .*camera.lens"),
+        ("check lens.toml", "lens.toml: is a lens file, but a scene file is needed: .*camera.lens"),
         ("check study.toml", "study.toml: is a study file, .*: lfmesh study takes it"),
         ("check data.toml", "data.toml: is a dataset file, .*: lfmesh dataset takes it"),
-        ("study scene.toml -o out", "scene.toml: is a scene file, and a study file is needed: .*--template assembly"),
+        ("study scene.toml -o out", "scene.toml: is a scene file, but a study file is needed: .*--template assembly"),
         ("study data.toml -o out", "is a dataset file"),
-        ("dataset scene.toml -o out", "scene.toml: is a scene file, and a dataset file is needed"),
-        ("lens convert scene.toml out.zmx", "scene.toml: is a scene file, and a lens file is needed"),
+        ("dataset scene.toml -o out", "scene.toml: is a scene file, but a dataset file is needed"),
+        ("lens convert scene.toml out.zmx", "scene.toml: is a scene file, but a lens file is needed"),
     ],
 )
 def test_a_file_of_another_kind_is_named_with_what_takes_it(
@@ -76,11 +76,11 @@ def test_a_file_of_another_kind_is_named_with_what_takes_it(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("check {}", "/dev/zero: cannot be read: it is no regular file but a device"),
-        ("study {} -o out", "/dev/zero: cannot be read: it is no regular file but a device"),
+        ("check {}", "/dev/zero: cannot be read: it is not a regular file but a device"),
+        ("study {} -o out", "/dev/zero: cannot be read: it is not a regular file but a device"),
         (
             "fit scene.toml scene.toml -o out --corners {}",
-            "/dev/zero: the list of corners cannot be read: it is no regular file but a device",
+            "/dev/zero: the list of corners cannot be read: it is not a regular file but a device",
         ),
     ],
 )

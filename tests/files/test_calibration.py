@@ -74,9 +74,9 @@ def broken(text: str, change: str) -> str:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ("truncated", "damaged or no calibration"),
+        ("truncated", "damaged or not a calibration"),
         ("foreign", "calibration format 99; this lfmesh"),
-        ("old", "calibration format 1; .* older ones do not say how their pixels lie"),
+        ("old", "calibration format 1; .* older ones do not state the order of their pixels"),
         ("incomplete", "damaged or incomplete"),
         ("ragged", "damaged or incomplete"),
         ("of another array", "damaged or incomplete"),

@@ -127,19 +127,19 @@ def test_a_run_that_is_complete_says_so_and_stays_as_it_is(folder: Path, capsys:
     before = (folder / "run/report.json").read_bytes()
     capsys.readouterr()
     assert main(["render", "--resume", "run"]) == 0
-    assert capsys.readouterr().out == "run is complete: there is nothing to go on with.\n"
+    assert capsys.readouterr().out == "run is complete: there is nothing to continue.\n"
     assert (folder / "run/report.json").read_bytes() == before
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["scene.toml", "--resume", "run"], "leave out a scene"),
-        (["--resume", "run", "-o", "other"], "leave out --out"),
-        (["--resume", "run", "--samples", "64", "--seed", "3"], "leave out --samples, --seed"),
-        (["--resume", "none"], "none is no run folder"),
+        (["scene.toml", "--resume", "run"], "omit a scene"),
+        (["--resume", "run", "-o", "other"], "omit --out"),
+        (["--resume", "run", "--samples", "64", "--seed", "3"], "omit --samples, --seed"),
+        (["--resume", "none"], "none is not a run folder"),
         (["--resume", "scene.toml"], "it is a file"),
-        (["--resume", "empty"], "empty has no checkpoint to go on from"),
+        (["--resume", "empty"], "empty has no checkpoint to continue from"),
         (["scene.toml"], "render needs --out"),
         (["-o", "run"], "render needs a scene file"),
     ],
@@ -178,7 +178,7 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(cut_short: Path, capsys: py
         place = contents.index(arrays["first.means.0.mean"].tobytes())
     for damaged in (contents[: len(contents) // 2], b"", b"text", contents[:place] + b"\0\1" + contents[place + 2 :]):
         path.write_bytes(damaged)
-        assert "is damaged; begin anew with" in refusal(capsys)
+        assert "is damaged; start again with" in refusal(capsys)
     path.write_bytes(contents)
     assert main(["render", "--resume", "run"]) == 0
 
@@ -200,7 +200,7 @@ def test_a_state_that_does_not_fit_its_scene_is_refused_in_one_line(
     facts, arrays = read_sealed(cut_short / CHECKPOINT, checkpoint.FORMAT)
     with (cut_short / CHECKPOINT).open("wb") as file:
         write_sealed(file, checkpoint.FORMAT, facts, arrays | {"first.means.0.mean": np.zeros((3, 3, 1))})
-    assert "is not that of this scene's render: first.means.0.mean has another size" in refusal(capsys)
+    assert "saved state belongs to another render: first.means.0.mean has another size" in refusal(capsys)
 
 
 def test_a_file_that_changed_or_went_since_is_named_in_one_line(
@@ -217,7 +217,7 @@ def test_a_file_that_changed_or_went_since_is_named_in_one_line(
     shutil.rmtree(cut_short / "inputs")
     assert "chart.png has changed since the run began" in refusal(capsys)
     (folder / "chart.png").unlink()
-    assert "chart.png is missing, which the run began with" in refusal(capsys)
+    assert "chart.png is missing, but the run began with it" in refusal(capsys)
     copy.parent.mkdir()
     copy.write_bytes(kept)
     assert main(["render", "--resume", "run"]) == 0
@@ -250,7 +250,7 @@ def test_a_render_that_was_cut_short_begins_anew_only_where_that_is_asked_for(
     capsys.readouterr()
     assert main(["render", "scene.toml", "-o", "run", "--seed", "5"]) == 2
     said = capsys.readouterr().err
-    assert "--resume run goes on with it; --restart begins anew" in said
+    assert "continue it with lfmesh render --resume run, or start again with --restart" in said
     assert said.count("\n") == 1
     assert main(["render", "--resume", "run"]) == 0
     assert lf.open_run("run").scene.transport.seed == 0
@@ -270,7 +270,7 @@ def test_what_reads_a_run_that_was_killed_says_that_it_can_go_on(
         (cut_short / name).unlink()
     capsys.readouterr()
     assert main(["decode", "run"]) == 2
-    assert "lfmesh render --resume run goes on with it" in capsys.readouterr().err
+    assert "lfmesh render --resume run continues it" in capsys.readouterr().err
     (cut_short / CHECKPOINT).unlink()
     assert main(["decode", "run"]) == 2
     assert "render it again" in capsys.readouterr().err
@@ -327,6 +327,6 @@ def test_a_full_disk_does_not_end_a_render(
     monkeypatch.setattr(checkpoint, "write_sealed", full)
     assert main(["render", "scene.toml", "-o", "run"]) == 0
     said = " ".join(capsys.readouterr().err.split())
-    assert "Note: run/lfmesh-checkpoint.npz cannot be written: No space left on device; the render goes on" in said
+    assert "Note: run/lfmesh-checkpoint.npz cannot be written: No space left on device; the render continues" in said
     assert not [path for path in (folder / "run").iterdir() if path.name.startswith(STAGING)]
     assert run.open_run(folder / "run").complete

@@ -138,7 +138,7 @@ def test_damage_and_other_versions_are_told_in_one_line(folder: Path, monkeypatc
         open_field(folder)
     assert "\n" not in str(caught.value)
     (folder / run.RAW).unlink()
-    with pytest.raises(lf.FileError, match=r"no complete run: raw\.exr missing"):
+    with pytest.raises(lf.FileError, match=r"not a complete run: raw\.exr missing"):
         save_field(field, folder)
     assert not [name for name in files_of(folder) if name.startswith(".lfmesh")]
 

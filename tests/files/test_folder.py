@@ -153,7 +153,7 @@ def test_a_first_save_killed_at_any_step_leaves_a_folder_to_render_into(
             assert_nothing_but_a_whole_run(folder)
             opened.append(True)
         else:
-            with pytest.raises(FileError, match=r"does not exist|no complete run"):
+            with pytest.raises(FileError, match=r"does not exist|not a complete run"):
                 run.open_run(folder)
             assert not folder.exists() or not list(folder.iterdir())
             opened.append(False)

@@ -120,7 +120,7 @@ def test_what_is_too_large_to_copy_is_looked_for_and_named(
     (tmp_path / "deep/er").mkdir(parents=True)
     shutil.move(tmp_path / "run", tmp_path / "deep/er/run")
     back = run.open_run(tmp_path / "deep/er/run").scene
-    with pytest.raises(FileError, match=r"ball\.stl is missing, which the run began with") as caught:
+    with pytest.raises(FileError, match=r"ball\.stl is missing, but the run began with it") as caught:
         back.resolve(glass.file)
     assert "\n" not in str(caught.value)
     shutil.copy(project / "parts/ball.stl", tmp_path / "deep/er/ball.stl")

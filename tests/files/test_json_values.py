@@ -20,7 +20,7 @@ DEEP = "[" * 100_000
 
 
 def test_json_that_is_nested_too_deep_is_no_json() -> None:
-    with pytest.raises(ValueError, match="too deep"):
+    with pytest.raises(ValueError, match="nested too deeply"):
         parse_json(DEEP)
     assert parse_json('{"a": [1, 2.5]}') == {"a": [1, 2.5]}
 

@@ -166,7 +166,7 @@ def judge(case: str, before: Path, whole: str, project: Path) -> bool:
     if case == "render":
         run.prepare(folder)
         if not (folder / run.RAW).exists():
-            with pytest.raises(FileError, match=r"does not exist|no complete run"):
+            with pytest.raises(FileError, match=r"does not exist|not a complete run"):
                 run.open_run(folder)
             left = {path.name for path in folder.iterdir()} if folder.exists() else set()
             assert left <= {CHECKPOINT}

@@ -193,8 +193,8 @@ def test_an_interrupted_run_is_valid_and_marked(image_of: Build, tmp_path: Path)
     assert np.isnan(back.stderr).all()
     (warning,) = back.warnings
     assert isinstance(warning, lf.InterruptedRenderWarning)
-    assert "1 of 8 replicates were finished, 8 samples a pixel. The picture is noisier" in str(warning)
-    assert "the errors of its pixels are not known" in str(warning)
+    assert "interrupted after 1 of 8 replicates, 8 samples per pixel. The picture is noisier" in str(warning)
+    assert "its errors are unknown" in str(warning)
     assert not found(image_of(aim=proven))
 
 
@@ -373,11 +373,11 @@ def test_saving_copies_a_large_film_few_times(image_of: Build, tmp_path: Path) -
 
 def test_an_image_is_shown_in_one_short_line(image_of: Build) -> None:
     shown = repr(image_of())
-    assert shown.startswith("<Image: 80 × 60 pixels, 1 wavelength, 8 of 8 replicates, 64 samples a pixel, ")
+    assert shown.startswith("<Image: 80 × 60 pixels, 1 wavelength, 8 of 8 replicates, 64 samples per pixel, ")
     assert len(shown) < 150
 
 
 @pytest.mark.parametrize(("name", "why"), [("nowhere", "it does not exist"), ("x" * 300, "File name too long")])
 def test_a_name_that_no_folder_has_or_can_have_is_refused(name: str, why: str, tmp_path: Path) -> None:
-    with pytest.raises(FileError, match=f"is no run folder: {why}"):
+    with pytest.raises(FileError, match=f"is not a run folder: {why}"):
         run.open_run(tmp_path / name)

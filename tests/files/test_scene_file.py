@@ -43,7 +43,7 @@ def test_a_saved_scene_loads_elsewhere_to_the_same_picture(scene: lf.Scene, tmp_
 
 
 def test_a_scene_file_with_another_ending_is_refused_in_one_line(scene: lf.Scene, tmp_path: Path) -> None:
-    with pytest.raises(lf.FileError, match=r"scene\.json: a scene file ends in \.toml"):
+    with pytest.raises(lf.FileError, match=r"scene\.json: a scene file must end in \.toml"):
         lf.save(scene, tmp_path / "scene.json")
     with pytest.raises(lf.FileError, match=r"none/scene\.toml cannot be written: No such file or directory"):
         lf.save(scene, tmp_path / "none" / "scene.toml")

@@ -178,11 +178,11 @@ def test_the_command_line_makes_the_run_of_all_shares(
     capsys.readouterr()
     for words, fault in (
         (["scene.toml", "-o", "x", "--shard", "3/2"], "--shard 3/2"),
-        (["scene.toml", "-o", "x", "--shard", "1/2", "--dask", "local"], "do not go together"),
+        (["scene.toml", "-o", "x", "--shard", "1/2", "--dask", "local"], "cannot be combined: give one of them"),
         (["scene.toml", "-o", "x", "--shard", "1/2", "--white"], "--white"),
-        (["scene.toml", "-o", "x", "--shard", "1/2", "--restart"], "leave it out beside --shard"),
-        (["--merge", "part1", "part2", "-o", "x", "--restart"], "leave it out beside --merge"),
-        (["--resume", "part1", "--restart"], "leave it out beside --resume"),
+        (["scene.toml", "-o", "x", "--shard", "1/2", "--restart"], "cannot be combined with --shard: omit it"),
+        (["--merge", "part1", "part2", "-o", "x", "--restart"], "cannot be combined with --merge: omit it"),
+        (["--resume", "part1", "--restart"], "cannot be combined with --resume: omit it"),
         (["--merge", "part1", "part2"], "--out"),
         (["--merge", "part1", "part2", "-o", "x", "--seed", "3"], "--seed"),
     ):

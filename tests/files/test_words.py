@@ -64,24 +64,26 @@ def test_the_stated_noise_is_the_true_error_and_four_times_the_samples_halve_it(
 
 def test_a_run_says_how_many_pixels_found_no_light_and_when_samples_are_too_few(image_of: Build) -> None:
     hits = np.full((60, 80, 1), 64, np.uint32)
-    assert "No path found light" not in text(image_of(hits=hits))
+    assert "received no light" not in text(image_of(hits=hits))
     assert "too few samples" not in text(image_of(hits=hits))
     hits[:6] = 0
     image = image_of(hits=hits)
     image.mean[:6] = image.stderr[:6] = 0.0
     assert words.noise(image).without_hits == 480
-    assert "No path found light for 480 pixels, 10 %. Their value is 0; upper bounds are in image.upper." in text(image)
+    assert "480 pixels, 10 %, received no light. Their value is 0; upper bounds are in image.upper." in text(image)
     hits[6:26] = 9
     assert words.noise(image).few_hits_share == pytest.approx(20 / 54)
-    assert "In 37 % of the lit pixels less than 10 found light" in text(image)
+    assert "In 37 % of the lit pixels fewer than 10 samples found light" in text(image)
 
 
 def test_the_summary_says_noise_and_the_samples_that_halve_it(image_of: Build) -> None:
     lines = text(image_of())
-    assert re.search(r"a quarter of the lit pixels are known to \d+\.?\d* % or better, half to 10\.\d %", lines)
-    assert "256 a pixel, would at least halve that" in lines
+    assert re.search(
+        r"Noise: at most \d+\.?\d* % \(one standard error\) in a quarter of the lit pixels, 10\.\d % in half", lines
+    )
+    assert "256 per pixel, would at least halve it" in lines
     assert "4.1 million packets" in lines
-    assert "10 million events a second" in lines
+    assert "10 million events per second" in lines
 
 
 def test_a_black_picture_says_that_the_light_ended_on_the_stop(image_of: Build, scene: Scene) -> None:
@@ -101,18 +103,17 @@ def test_a_black_adjoint_picture_says_that_no_light_reaches_the_target(image_of:
     absorbed = {"stop": 1.0, "mount": 0.5, "targets[0]": 0.2, "housing": 2.0, "reflections not followed": 0.5}
     ledger = lf.Ledger(emitted=5.0, absorbed=absorbed, escaped=0.8, reached_target=1.0, lit=0.0)
     lines = text(image_of(mean=black, stderr=black, ledger=ledger))
-    cause = lines.index(
-        "20 % of the paths traced back from the sensor reached targets[0], but found nothing there that"
-    )
+    cause = lines.index("20 % of the paths traced back from the sensor reached targets[0], but nothing there")
     ends = lines.index(
-        "Of the 50 % that came to the lens, 40 % got out of it, 40 % ended on the stop, 20 % ended on the"
+        "50 % of the paths reached the lens; of these 40 % left through the front, 40 % ended on the stop, 20 % "
+        "ended on the"
     )
     assert cause < ends, "the cause comes first"
     nowhere = lf.Ledger(emitted=4.0, escaped=4.0)
     said = text(image_of(mean=black, stderr=black, ledger=nowhere))
     assert "None of the paths traced back from the sensor reached a target" in said
     shadow = lf.Ledger(emitted=4.0, escaped=4.0, reached_target=4.0, lit=2.0)
-    assert "50 % of those found a side that emits or faces a lamp, but something stands before the lamp." in text(
+    assert "50 % of these met a side that emits or faces a lamp, but something blocks the lamp." in text(
         image_of(mean=black, stderr=black, ledger=shadow)
     )
 
@@ -122,15 +123,15 @@ def test_shares_of_light_come_to_the_whole_in_sentences(image_of: Build) -> None
     absorbed = {"housing": 0.4, "mla mount": 0.3, "mla edge": 0.1, "reflections not followed": 0.15, "mla wall": 0.05}
     lines = text(image_of(mean=black, stderr=black, ledger=lf.Ledger(emitted=1.0, absorbed=absorbed)))
     assert (
-        "None of them came to the lens: 40 % ended on the housing, 30 % ended on the mla mount, 15 % went into "
-        "reflections that are not followed, 10 % ended on the mla edge, 5 % elsewhere." in lines
+        "None of them reached the lens: 40 % ended on the housing, 30 % ended on the mla mount, 15 % went into "
+        "untraced reflections, 10 % ended on the mla edge, 5 % elsewhere." in lines
     )
 
 
 @pytest.mark.parametrize(
     ("changes", "ended", "said"),
     [
-        ({"targets[0].material.reflectance": 0.0}, "targets[0]", "targets[0] reflects nothing and does not shine: its"),
+        ({"targets[0].material.reflectance": 0.0}, "targets[0]", "targets[0] reflects and emits nothing: its"),
         ({"lights[0].position_mm": [0.0, 0.0, -900.0]}, "targets[0]", "targets[0] is lit by no lamp on the side that"),
         ({"targets[0].name": "board"}, "targets[1]", "No path reached targets[0] (board), which stands in the field"),
     ],
@@ -149,7 +150,7 @@ def test_a_black_picture_names_what_is_wrong_with_its_targets(
 def test_a_picture_from_within_a_target_says_that_its_inside_is_black(image_of: Build) -> None:
     ledger = lf.Ledger(emitted=1.0, escaped=0.1, absorbed={"targets[0]": 0.75, "stop": 0.15})
     said = text(image_of(mean=np.zeros((60, 80, 1)), stderr=np.zeros((60, 80, 1)), ledger=ledger))
-    assert "75 % of the paths traced back from the sensor met a target from its black side" in said
+    assert "75 % of the paths traced back from the sensor met the black side of a target" in said
     assert "reached a target" not in said
 
 
@@ -174,7 +175,7 @@ def test_where_only_particles_shine_their_light_is_accounted_for(image_of: Build
     ledger, few = lf.Ledger(unit="m² sr", lamps=lf.Ledger(emitted=4.0, sensor=1.0)), np.zeros((60, 80, 1))
     few[7, 9] = 1.0
     image = image_of(mean=few, stderr=0.1 * few, ledger=ledger)
-    assert "Only particles shine: 25 % of their light came to the sensor." in text(image)
+    assert "Only particles emit: 25 % of their light reached the sensor." in text(image)
     assert repr(ledger).startswith("<Ledger: 4 W emitted, 25.000% on the sensor")
 
 
@@ -196,7 +197,7 @@ def test_leaks_are_reported(image_of: Build) -> None:
         "Warning: 5.0e-04 of the energy was lost by the tracer: 2.0e-04 in targets[3], 1.5e-04 in targets[2], 1.0e-04"
         " in targets[1], 5.0e-05 in targets[0], the rest in 2 others; the picture lacks it" in lines
     )
-    assert "the energy does not close" in lines
+    assert "the energy ledger does not close" in lines
 
 
 def test_the_airy_disks_are_said_and_warned_of_above_one_sample(image_of: Build, scene: Scene) -> None:
@@ -211,7 +212,7 @@ def test_the_airy_disks_are_said_and_warned_of_above_one_sample(image_of: Build,
     lines = text(image_of(infrared))
     assert "Diffraction is not traced" not in lines
     assert "Warning: the lens's Airy disk is 1.09 lenslets wide" in lines
-    assert "10000 nm): diffraction blurs, and is not traced" in lines
+    assert "10000 nm), but diffraction is not traced" in lines
 
 
 @pytest.mark.parametrize(("lost", "said"), [(0.99e-7, False), (1.01e-7, True)])
@@ -261,9 +262,11 @@ def test_a_run_says_first_how_good_the_picture_is_and_its_checks_in_one_line(ima
     image = image_of(blind=BlindCheck((4, 4), 100, 1.0, 4.0, 0.536), order=order)
     noise, checks = words.account(image)
     assert noise.startswith("Noise: ")
-    found = "Unaimed samples found no missing light in 4 × 4 blocks (each would show losses above 53.6 %). "
+    found = (
+        "Unaimed samples found no light missing in 4 × 4 blocks; in each they would have shown a loss above 53.6 %. "
+    )
     assert checks.startswith(f"Checks: {found}")
-    agree = "Surfaces in their order and by meshes agree on 2,948 test paths (largest difference 1.4e-11 mm)."
+    agree = "Sequential and mesh tracing agree on 2,948 test paths (largest difference 1.4e-11 mm)."
     assert agree in checks
     lines = words.account(image, verbose=True)
     assert lines[0] == noise

@@ -54,11 +54,11 @@ def test_a_bare_array_needs_its_quantity_and_spacing(tmp_path: Path) -> None:
         ({"absorption_per_mm": np.ones((2, 2, 2)), "spacing_mm": "wide"}, "spacing_mm holds text"),
         ({"absorption_per_mm": np.ones((2, 2, 2)), "spacing_mm": 1.0 + 1.0j}, "spacing_mm holds complex numbers"),
         ({"absorption_per_mm": np.ones((2, 2))}, r"must be an array \[x, y, z\]"),
-        ({"absorbtion": np.ones((2, 2, 2))}, "no array is called 'absorbtion'"),
+        ({"absorbtion": np.ones((2, 2, 2))}, "unknown array 'absorbtion'"),
         ({"absorption_per_mm": np.ones((2, 2, 2)), "scattering_per_mm": np.ones((2, 2, 3))}, "differ in shape"),
         (
             {"emission_w_mm3_sr": np.ones((2, 2, 2)), "temperature_k": np.ones((2, 2, 2))},
-            "emission_w_mm3_sr and temperature_k are both there",
+            "emission_w_mm3_sr and temperature_k are both given",
         ),
     ],
 )
@@ -165,8 +165,8 @@ def test_the_only_array_of_vtk_image_data_may_have_any_name(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ('Piece Extent="0 9 0 3 0 4"', "its Piece has the points 0 to 9 along x, and its WholeExtent 0 to 2"),
-        ('Piece Extent="0 2 0 3 0 3"', "its pieces have 18 voxels, and its WholeExtent 24"),
+        ('Piece Extent="0 9 0 3 0 4"', "its Piece has the points 0 to 9 along x, but its WholeExtent 0 to 2"),
+        ('Piece Extent="0 2 0 3 0 3"', "its pieces have 18 voxels, but its WholeExtent 24"),
     ],
 )
 def test_a_vtk_image_whose_pieces_are_not_the_whole_is_refused(wrong: str, message: str, tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def test_a_clear_aperture_ends_where_its_surface_ends(kind, conic):
     lens, report = read(FILE, text.splitlines())
     assert lens.surfaces[1].semi_diameter_mm == pytest.approx(edge, rel=1e-12)
     (line,) = report.of(Verdict.APPROXIMATED)
-    assert line.how == f"semi-diameter 16.2 mm: the surface ends {edge:.6g} mm from the axis, which is taken"
+    assert line.how == f"semi-diameter 16.2 mm: reduced to {edge:.6g} mm, where the surface ends"
 
 
 def test_a_surface_that_ends_inside_the_beam_is_refused():
@@ -75,8 +75,7 @@ def test_a_stop_plane_in_the_vertex_of_a_surface_that_bulges_through_it_is_that_
     assert Paraxial.of(lens, D_LINE_NM).efl_mm == Paraxial.of(on_it, D_LINE_NM).efl_mm
     said = [line.how for line in report.of(Verdict.APPROXIMATED)]
     assert said == [
-        f"this plane stands in the vertex of surface {3 if breaks else 2} of the file, which bulges through it and is "
-        "the stop"
+        f"this plane lies at the vertex of surface {3 if breaks else 2}, which bulges through it and becomes the stop"
     ]
 
 
@@ -95,4 +94,4 @@ def test_a_stop_plane_behind_the_vertex_of_a_surface_that_bulges_through_it_is_t
 
 def test_surfaces_that_meet_at_the_axis_are_refused_with_their_lines():
     said = refusal_of(changed(("  DISZ 5\n", "  DISZ 0\n"), ("  CLAP 0 6.25 0\n", "")))
-    assert said == ("lens.zmx: line 24: SURF 1: it crosses the next surface, line 31, beside the axis; 0 mm apart")
+    assert said == ("lens.zmx: line 24: SURF 1: it crosses the next surface, line 31, off the axis; 0 mm apart")

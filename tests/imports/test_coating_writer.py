@@ -49,7 +49,7 @@ def test_every_kind_of_coating_comes_back(tmp_path):
     lens = coated(COATINGS)
     path = tmp_path / 'a lens "of two words".zmx'
     (note,) = write_lens_file(lens, path)
-    assert note.startswith("the coatings stand in a lens _of two words__coating.dat; ")
+    assert note.startswith("the coatings are in a lens _of two words__coating.dat; ")
     again, report = read_lens_file(path)
     assert not report.of(Verdict.APPROXIMATED)
     assert [again.coatings[surface.coating] for surface in again.surfaces] == list(COATINGS.values())

@@ -202,14 +202,14 @@ BARE = {
     "HEAR1": "Coating.dat has no such coating; the surface is traced bare",
     "UNKNOWN": "Coating.dat: material GOLD is not in the file; the surface is traced bare",
     "OPEN": "Coating.dat: a group of layers with number 3 has no end; the surface is traced bare",
-    "MUCH": "Coating.dat: it reflects 0.5 and transmits 0.9, more than there is; the surface is traced bare",
+    "MUCH": "Coating.dat: it reflects 0.5 and transmits 0.9, together more than 1; the surface is traced bare",
     "SECRET": "Coating.dat has it as ENCRYPTED, which is not read; the surface is traced bare",
 }
 APPROXIMATED = {
-    "AR": "Coating.dat has no such coating; a quarter wave of MgF2 is taken for it",
-    "GREY": "of the light it absorbs 0.4, which passes here",
-    "TAPERED": "layers of taper EDGE have the thickness of the middle everywhere",
-    "MIRROR": "a metal's coating; taken as one that reflects everything",
+    "AR": "Coating.dat has no such coating; replaced by a quarter wave of MgF2",
+    "GREY": "it absorbs 0.4 of the light, which is transmitted here",
+    "TAPERED": "layers of taper EDGE get the thickness at the middle everywhere",
+    "MIRROR": "a metal coating; taken as a perfect reflector",
 }
 
 
@@ -295,7 +295,7 @@ def test_a_named_coating_file_that_is_missing_is_named(tmp_path: Path) -> None:
     (tmp_path / "plate.zmx").write_text(text)
     assert [line.how for line in read_lens_file(tmp_path / "plate.zmx")[1].of(Verdict.APPROXIMATED)] == [
         "no OTHER.DAT beside the file; the surface is traced bare",
-        "no OTHER.DAT beside the file; a quarter wave of MgF2 is taken for it",
+        "no OTHER.DAT beside the file; replaced by a quarter wave of MgF2",
     ]
 
 
@@ -313,8 +313,8 @@ def test_wavelengths_beyond_a_materials_table_are_said(tmp_path):
     (tmp_path / "plate.zmx").write_text(text.replace("WAVM 1 0.5875618 1\n", "WAVM 1 0.5875618 1\nWAVM 2 0.85 1\n"))
     (line,) = [line for line in read_lens_file(tmp_path / "plate.zmx")[1].lines if line.text == "COAT PLAIN"]
     assert line.verdict is Verdict.APPROXIMATED
-    assert line.how == "at 850 nm its index or shares are those at the nearer end of a table from 400 to 700 nm"
-    assert not [line for line in read(tmp_path, "PLAIN")[1].lines if "nearer end" in line.how]
+    assert line.how == "at 850 nm, outside its table from 400 to 700 nm, the nearest index or shares are taken"
+    assert not [line for line in read(tmp_path, "PLAIN")[1].lines if "outside its table" in line.how]
 
 
 def test_a_coating_file_that_is_given_comes_before_the_one_beside_the_lens_file(tmp_path):

@@ -105,15 +105,15 @@ def test_a_fictitious_glass_is_the_normal_one_of_its_nd_and_vd():
         ("NBK7_SCHOTT", "REFL", "mirrors are not supported"),
         ("NBK7_SCHOTT", "SK19_SCHOTT", "not in the catalogue"),
         ("  CIR 6.25", "  CIR OBS 2.0", "obscurations and holes"),
-        ("  CIR 6.25", "  ADE 5.0", "the axis is not turned back"),
+        ("  CIR 6.25", "  ADE 5.0", "the axis is not restored"),
         ("  CIR 6.25", "  DIF DOE", "diffractive"),
         ("  CIR 6.25", "  XTO", "toroids"),
         ("  CIR 6.25", "  REX 3.0; REY 4.0", "rectangular apertures"),
         ("  CIR 6.25", "  RET S9", "RET S9: there is no surface 9"),
         ("  STO\n", "  STO S9\n", "STO S9: there is no surface 9"),
         ("GO\n", "DEL S1\nGO\n", "DEL S1: commands that edit the lens are not run"),
-        ("  CIR 6.25", "  GLB S1", "surfaces placed from an earlier one than that before them"),
-        ("A 1e-6", "A one", "'one' is no number"),
+        ("  CIR 6.25", "  GLB S1", "surfaces placed from any but the previous surface"),
+        ("A 1e-6", "A one", "'one' is not a number"),
         ("DIM M", "DIM F", "unit F is unknown"),
     ],
 )
@@ -293,7 +293,7 @@ def test_one_field_and_one_wavelength_may_differ_between_positions(row):
 def test_a_zoom_file_says_which_position_is_taken_and_their_focal_lengths():
     report = report_of(ZOOM)
     (line,) = report.of(Verdict.APPROXIMATED)
-    assert line.how == "3 configurations: the values are taken that stand in the surfaces"
+    assert line.how == "3 configurations: the values in the surfaces are taken"
     each = [read(FILE, ZOOM.splitlines(), FileChoices(configuration=k))[1].focal_length_mm for k in (1, 2, 3)]
     assert len({round(length, 3) for length in each}) == 3
     listed = ", ".join(f"{k}: {length:.6g} mm" for k, length in enumerate(each, 1))
@@ -306,11 +306,11 @@ def test_a_zoom_file_says_which_position_is_taken_and_their_focal_lengths():
         (ZOOM, 4, "configuration = 4: the file has configurations 1 to 3"),
         (SINGLET_SEQ, 2, "configuration = 2: the file has one configuration"),
         (ZOOM.replace("5.0 6.0 7.5", "5.0 6.0"), 2, "it must name one command and its values at 3 positions"),
-        (ZOOM.replace("ZOO 3", "ZOO 0"), None, "ZOO 0: the number of zoom positions must be a whole one from"),
-        (ZOOM.replace("ZOO 3", "ZOO 2.5"), None, "must be a whole one"),
+        (ZOOM.replace("ZOO 3", "ZOO 0"), None, "ZOO 0: the number of zoom positions must be a whole number from"),
+        (ZOOM.replace("ZOO 3", "ZOO 2.5"), None, "must be a whole number"),
         (ZOOM.replace("ZOO EPD", "ZOO YAN F4"), 2, "YAN F4 9.0: there is no field 4"),
         (ZOOM.replace("ZOO EPD", "ZOO WL W4"), 2, "WL W4 9.0: there is no wavelength 4"),
-        (ZOOM.replace("THI S1 5.0 6.0 7.5", "ADE S1 0.0 1.0 2.0"), 2, "the axis is not turned back"),
+        (ZOOM.replace("THI S1 5.0 6.0 7.5", "ADE S1 0.0 1.0 2.0"), 2, "the axis is not restored"),
     ],
 )
 def test_zoom_positions_that_cannot_be_taken_are_refused(text, position, said):

@@ -129,7 +129,7 @@ def test_groups_between_coordinate_breaks_stand_where_zemax_has_them(unit, mm, p
 
 def test_an_axis_that_is_not_turned_back_is_refused():
     text = TRIPLET_ZMX.format(unit="MM", pivot=0, back=-2, breaks=parameters(0.0, 0.0, (4.0, 0.0, 0.0), 0), returns="")
-    with pytest.raises(SceneError, match=r"the axis is not turned back: the image stands .* tilted by 4 degrees"):
+    with pytest.raises(SceneError, match=r"the axis is not restored: the image lies .* tilted by 4 degrees"):
         zemax.read(Path("lens.zmx"), text.splitlines())
 
 
@@ -190,12 +190,12 @@ def test_an_axis_of_code_v_comes_back_by_reversed_decentres_or_to_an_earlier_sur
 
 def test_decentres_that_no_lens_here_has_are_refused():
     tilted = TRIPLET_SEQ.format(first="  ADE 3\n", second="")
-    with pytest.raises(SceneError, match="the axis is not turned back"):
+    with pytest.raises(SceneError, match="the axis is not restored"):
         codev.read(Path("lens.seq"), tilted.splitlines())
-    with pytest.raises(SceneError, match="the axis is not turned back"):
+    with pytest.raises(SceneError, match="the axis is not restored"):
         codev.read(Path("lens.seq"), tilted.replace("ADE 3\n", "ADE 3\n  REV\n").splitlines())
     for lines, why in (
-        ("  DAR\n  REV\n", r"line \d+: REV: a surface has one of DAR and REV, once"),
+        ("  DAR\n  REV\n", r"line \d+: REV: a surface may have only one DAR or REV"),
         ("  BEN\n", r"line \d+: BEN: an axis that bends at a mirror is not supported"),
         ("  RET S1\n", "RET with decentres of its own is not supported"),
         ("  RET S9\n", r"line \d+: RET S9"),

@@ -37,7 +37,7 @@ def refusal_of(*pairs):
             "surfaces 0 and 1 cross inside their clear aperture",
         ),
         ((("PARM 2 1e-6", "PARM 2 1e30"),), "line 31: SURF 2", "a sag of more than 1e+15 mm"),
-        ((("  DISZ 5\n", "  DISZ -5\n"),), "line 24: SURF 1", "a distance below 0 is not supported"),
+        ((("  DISZ 5\n", "  DISZ -5\n"),), "line 24: SURF 1", "a distance below 0 is supported only"),
     ],
 )
 def test_a_refusal_names_the_line_and_advises_in_the_language_of_the_file(pairs, line, why):

@@ -178,7 +178,7 @@ def test_a_sampler_that_cannot_be_is_refused_in_one_line(tmp_path: Path) -> None
     material = glb.material(picture=png(np.zeros((2, 2, 3))))
     glb.tree["textures"][0]["sampler"] = 0
     glb.node("A", mesh=glb.add("meshes", {"primitives": [glb.primitive(QUAD, SPLIT, material, TEXCOORD_0=QUAD_UV)]}))
-    with pytest.raises(MeshError, match=r"textures\.sampler is 0, and there are 0"):
+    with pytest.raises(MeshError, match=r"textures\.sampler is 0, but there are 0"):
         load_mesh(glb.write(tmp_path / "scene.glb"))
     glb.add("samplers", {"wrapS": 1})
     with pytest.raises(MeshError, match=r"samplers\[0\]\.wrapS is 1; valid are 10497, 33071, 33648"):
@@ -367,26 +367,26 @@ def broken_scenes() -> dict[str, tuple[Glb, str]]:
         made[why] = glb, why
         return glb
 
-    put("stands twice in its node tree", nodes=[{"mesh": 0, "children": [0]}])
-    put("stands twice in its node tree, as", nodes=[{"children": [1]}, {"children": [2]}, {"children": [1]}])
-    put("and there are 1, counted from 0", nodes=[{"mesh": 0, "children": [7]}])
-    put("nodes is no list of objects", nodes={"a": 1})
+    put("occurs twice in its node tree", nodes=[{"mesh": 0, "children": [0]}])
+    put("occurs twice in its node tree, as", nodes=[{"children": [1]}, {"children": [2]}, {"children": [1]}])
+    put("but there are 1, counted from 0", nodes=[{"mesh": 0, "children": [7]}])
+    put("nodes is not a list of objects", nodes={"a": 1})
     put("nodes[0].children is 3; valid is a list", nodes=[{"mesh": 0, "children": 3}])
     put("nodes[0].matrix is [1.0]; valid are 16 finite numbers", nodes=[{"mesh": 0, "matrix": [1.0]}])
-    put("is no affine one", nodes=[{"mesh": 0, "matrix": [1.0] * 16}])
+    put("is not affine", nodes=[{"mesh": 0, "matrix": [1.0] * 16}])
     put("nodes[0].scale is", nodes=[{"mesh": 0, "scale": [1.0, float("nan"), 1.0]}])
     put("nodes[0].translation is", nodes=[{"mesh": 0, "translation": [1e300, 0.0, 0.0]}])
     put("nodes[0].rotation is zero", nodes=[{"mesh": 0, "rotation": [0, 0, 0, 0]}])
     put("holds no object with facets", nodes=[{"name": "Empty"}])
     put("nodes[0].mesh is 5", nodes=[{"mesh": 5}])
-    put("scene is 3, and there are 1", scene=3)
-    put("100001 nodes; 100000 are the most", nodes=[{}] * 100_001)
+    put("scene is 3, but there are 1", scene=3)
+    put("100001 nodes; the limit is 100000", nodes=[{}] * 100_001)
     put("requires the extension 'KHR_draco_mesh_compression'", extensionsRequired=["KHR_draco_mesh_compression"])
     put("objects with", nodes=[{"mesh": 0}] * 10_001, scenes=[{"nodes": list(range(10_001))}])
     put("an accessor counts").tree["accessors"][0]["count"] = 10**12
-    put("facets are the most").tree["accessors"][1]["count"] = 10**9
+    put("the limits are 10000 objects and").tree["accessors"][1]["count"] = 10**9
     put("names no vertices").tree["meshes"][0]["primitives"][0]["indices"] = 99
-    put("its buffer gone.bin is not there", buffers=[{"uri": "gone.bin", "byteLength": 1}])
+    put("its buffer gone.bin is missing", buffers=[{"uri": "gone.bin", "byteLength": 1}])
     return made
 
 
@@ -424,11 +424,11 @@ def test_wrong_keys_and_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "a.stl").write_bytes(b"")
     if hasattr(os, "mkfifo"):
         os.mkfifo(tmp_path / "pipe.glb")
-        with pytest.raises(SceneError, match=r"targets\.file.*pipe\.glb is no regular file"):
+        with pytest.raises(SceneError, match=r"targets\.file.*pipe\.glb is not a regular file"):
             loads('targets = { file = "pipe.glb" }\n' + TOML, tmp_path)
     for keys, why in (
         ('targets = { file = "gone.glb" }', r"targets\.file = \"gone\.glb\".*no such file"),
-        ('targets = { file = "a.stl" }', r"targets\.file = \"a\.stl\".*valid are \.glb and \.gltf"),
+        ('targets = { file = "a.stl" }', r"targets\.file = \"a\.stl\".*must end in \.glb or \.gltf"),
         ('targets = { file = "scene.glb", scale = 0 }', r"targets\.scale = 0: must be above 0"),
         ('targets = { file = "scene.glb", units = "mm" }', r"targets\.units: unknown key; .* give scale = 0\.001"),
         (

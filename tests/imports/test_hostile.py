@@ -24,13 +24,13 @@ FILES = [
 ]
 GARBAGE = {
     "empty": (b"", "it has no line S"),
-    "zeros": (bytes(100_000), "no text"),
-    "noise": (np.random.default_rng(1).bytes(200_000), "no text"),
+    "zeros": (bytes(100_000), "not text"),
+    "noise": (np.random.default_rng(1).bytes(200_000), "not text"),
     "large": (b"x " * 5_000_000, "larger than 8 MB"),
     "lines": (b"\n" * 2_000_000, "more than 100000 lines"),
     "words": (b"CURV " + b"9" * 4_000_000, "it has no line S|before the first"),
     "half of UTF-16": (SINGLET_ZMX.encode("utf-16")[:-1], "cut short"),
-    "a picture": (b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 10, "no text"),
+    "a picture": (b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 10, "not text"),
 }
 
 

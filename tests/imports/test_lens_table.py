@@ -53,7 +53,7 @@ def test_curvatures_diameters_and_an_object_row_are_understood() -> None:
     assert [surface.semi_diameter_mm for surface in lens.surfaces] == [8.0, 8.0]
     assert Paraxial.of(lens, 587.6).efl_mm == pytest.approx(1 / (0.5 * (0.02 + 0.0125 - 0.5 * 4 * 0.02 * 0.0125 / 1.5)))
     assert [line.text for line in report.of(Verdict.UNKNOWN)] == ["column Colour"]
-    assert "no row is marked as the stop: the first surface is taken for it" in report.notes
+    assert "no row is marked as the stop: the first surface is taken" in report.notes
 
 
 def test_the_columns_of_opticstudio_are_understood() -> None:
@@ -76,12 +76,12 @@ REFUSED = {
     "radius;thickness;index;A2\n50;2;1.5;1e-4\n-50;40;;": "A2 is not read: even aspheres have A4 to A30",
     "radius;thickness;index;A800\n50;2;1.5;1e-4\n-50;40;;": "A800 is not read: even aspheres have A4 to A30",
     "radius;thickness;index;sa\n50;2;1.5;-5\n-50;40;;5": "a semi-diameter or diameter below 0",
-    "radius;thickness;index;stop\n50;2;1.5;x\n-50;40;;x": "line 3: -50;40;;x: line 2 is the stop already",
+    "radius;thickness;index;stop\n50;2;1.5;x\n-50;40;;x": "line 3: -50;40;;x: line 2 is already the stop",
     "radius;thickness;index\n50;2;1.5;9\n-50;40;;": "line 2: 50;2;1.5;9: more cells than the 3 columns",
     "": "no prescription: it is empty",
     "a;b\n1;2": "line 1: no prescription: its first line must name columns",
     "radius;thickness;radius\n1;2;3": "line 1: two columns give the radius",
-    "radius;thickness\nx;2": "line 2: x;2: 'x' is no number",
+    "radius;thickness\nx;2": "line 2: x;2: 'x' is not a number",
     "radius;thickness;glass\n50;2;NO-SUCH\n;40;": "NO-SUCH",
     "radius;thickness\n": "holds no lens",
     "radius;thickness;ne;sa\n50;2;1.5;5\n-50;40;;5": "all of its surfaces have the same medium on both sides",

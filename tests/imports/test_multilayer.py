@@ -138,7 +138,7 @@ def test_a_lens_has_the_multilayers_that_it_names(tmp_path: Path) -> None:
     front, back = lens.coatings["front"].layers or (), lens.coatings["back"].layers or ()
     assert [layer.thickness_nm for layer in front] == pytest.approx([92.5, 112.0, 30.6, 14.4], rel=1e-6)
     assert [layer.thickness_nm for layer in back] == pytest.approx([58.5, 99.6, 12.0, 99.6], rel=1e-6)
-    assert sum("from its incident medium on" in line.how for line in report.of(Verdict.APPROXIMATED)) == 2
+    assert sum("from the incident medium onwards" in line.how for line in report.of(Verdict.APPROXIMATED)) == 2
 
 
 def test_light_through_a_coated_window_is_what_code_v_prints(tmp_path: Path) -> None:

@@ -186,7 +186,7 @@ def test_water_in_object_space_is_read(tmp_path: Path, ending: str, text: str) -
 
 def test_water_by_its_measurements_has_no_name_in_zemax(tmp_path: Path) -> None:
     lens = Lens(surfaces=PORT, object_medium=Matter(glass="main/H2O/Daimon-20.0C"))
-    with pytest.raises(SceneError, match="no maker's glass"):
+    with pytest.raises(SceneError, match="not a maker's glass"):
         write_lens_file(lens, tmp_path / "lens.zmx")
 
 

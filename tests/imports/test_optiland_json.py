@@ -112,14 +112,14 @@ def of_geometry(k, **changes):
         (of_geometry(2, type="ZernikePolynomialGeometry"), "surfaces[2]: surfaces of type ZernikePolynomialGeometry"),
         (of_geometry(1, coefficients=[0.0] * 40 + [1e-90]), "a term in r^82"),
         (of_geometry(4, coefficients=[1e-3]), "a term in r makes a cone"),
-        (of_geometry(2, radius="25"), 'radius = "25" is no number'),
+        (of_geometry(2, radius="25"), 'radius = "25" must be a number'),
         (of_surface(2, material_post={"type": "Mirror"}), "mirrors are not supported"),
         (of_surface(2, material_post={"type": "GradientMaterial"}), "a medium of type GradientMaterial is not read"),
         (of_surface(2, interaction_model={"type": "DiffractiveInteractionModel"}), "with a DiffractiveInteraction"),
         (of_surface(2, interaction_model={"type": "RefractiveReflectiveModel", "is_reflective": True}), "mirrors"),
         (of_surface(2, aperture={"type": "RadialAperture", "r_min": 1.0, "r_max": 5.0}), "without a dark middle"),
         (lambda data: data["surface_group"]["surfaces"][2]["geometry"]["cs"].update(rx=0.1), "off the axis (rx)"),
-        (lambda data: data["surface_group"]["surfaces"][2]["geometry"]["cs"].update(z=[4.0]), "z = [4.0] is no number"),
+        (lambda data: data["surface_group"]["surfaces"][2]["geometry"]["cs"].update(z=[4.0]), "[4.0] must be a number"),
         (
             of_surface(2, material_post={"type": "IdealMaterial", "index": 0}),
             "index 0: a refractive index must be above",
@@ -127,7 +127,7 @@ def of_geometry(k, **changes):
         (lambda data: data["aperture"].update(type="imageNA"), "an aperture of type imageNA is not read"),
         (lambda data: data["fields"].update(field_definition={"field_type": "X"}), "fields of type X are not read"),
         (lambda data: data.pop("wavelengths"), "wavelengths: it has no wavelengths"),
-        (lambda data: data.pop("surface_group"), "no optiland lens file"),
+        (lambda data: data.pop("surface_group"), "not an optiland lens file"),
     ],
 )
 def test_what_the_lens_cannot_have_is_refused_in_one_line(change, said):
@@ -160,7 +160,7 @@ def test_what_is_not_known_is_named_and_coatings_are_said_to_be_bare():
 def test_files_that_are_none_are_refused_in_one_line(tmp_path, content):
     path = tmp_path / "a.json"
     path.write_text(content)
-    with pytest.raises(SceneError, match=r"a\.json: no (JSON|optiland lens file)"):
+    with pytest.raises(SceneError, match=r"a\.json: not (JSON|an optiland lens file)"):
         read_lens_file(path)
 
 
@@ -207,7 +207,7 @@ def test_a_value_of_another_kind_is_used_or_named(strange):
 
 
 def test_a_surface_without_geometry_is_named():
-    with pytest.raises(SceneError, match=r"lens\.json: surfaces\[1\]: geometry = null is no object"):
+    with pytest.raises(SceneError, match=r"lens\.json: surfaces\[1\]: geometry = null must be an object"):
         read_changed(lambda data: data["surface_group"]["surfaces"][1].update(geometry=None))
 
 

@@ -37,7 +37,7 @@ def test_every_lens_of_the_library_comes_back(tmp_path, name, ending):
     again, _ = read_lens_file(path)
     assert_same(lens, again)
     assert again.name == lens.name
-    assert again.source == lens.source or (ending == ".seq" and notes == ["the source stands in a comment"])
+    assert again.source == lens.source or (ending == ".seq" and notes == ["the source is written as a comment"])
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
@@ -76,7 +76,7 @@ def of_own_glass(glass):
 def test_glasses_of_no_catalogue_come_back_or_are_refused(tmp_path, ending, glass):
     lens, path = of_own_glass(glass), tmp_path / f"lens{ending}"
     if ending == ".zmx" and glass.nd is None:
-        with pytest.raises(SceneError, match=r"surfaces\[0\].glass: a Zemax file has no place for"):
+        with pytest.raises(SceneError, match=r"surfaces\[0\].glass: a Zemax file cannot hold"):
             write_lens_file(lens, path)
         return
     write_lens_file(lens, path)

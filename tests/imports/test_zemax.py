@@ -156,8 +156,8 @@ def test_encodings_and_line_ends(tmp_path, encoding, ending):
         ("CLAP 0 6.25 0", "CLAP 1 6.25 0", "its middle is dark"),
         ("CLAP 0 6.25 0", "OBSC 0 2 0", "a central obscuration"),
         ("CLAP 0 6.25 0", "OBDC 0 2", "a decentred aperture"),
-        ("DISZ 5\n", "DISZ five\n", "'five' is no number"),
-        ("DISZ 5\n", "DISZ nan\n", "no finite number"),
+        ("DISZ 5\n", "DISZ five\n", "'five' is not a number"),
+        ("DISZ 5\n", "DISZ nan\n", "is not finite"),
         ("DISZ 5\n", "DISZ\n", "it is cut short"),
         ("DISZ 5\n", "DISZ INFINITY\n", "only the object"),
         ("MODE SEQ", "MODE NSC", "only sequential files"),
@@ -175,13 +175,13 @@ def test_what_changes_the_image_is_refused_with_its_line(old, new, reason):
 
 
 def test_light_that_would_have_to_go_back_is_refused():
-    assert "SURF 1: the next surface stands 5 mm before this one" in refusal_of(changed("DISZ 5\n", "DISZ -5\n"))
+    assert "SURF 1: the next surface lies 5 mm in front of this one" in refusal_of(changed("DISZ 5\n", "DISZ -5\n"))
 
 
 def test_a_coordinate_break_without_a_tilt_is_nothing():
     zero = "SURF 1\n  TYPE COORDBRK\n  CURV 0.0\n  PARM 3 0\n  PARM 6 0\n  DISZ 0\nSURF 1\n"
     assert lens_of(changed("SURF 1\n", zero)) == lens_of(SINGLET_ZMX)
-    assert "the axis is not turned back" in refusal_of(changed("SURF 1\n", zero.replace("PARM 3 0", "PARM 3 2.5")))
+    assert "the axis is not restored" in refusal_of(changed("SURF 1\n", zero.replace("PARM 3 0", "PARM 3 2.5")))
 
 
 def test_all_refusals_are_named_at_once():
@@ -199,7 +199,7 @@ def test_a_model_glass_is_the_normal_one_of_its_nd_and_vd():
 
 def test_a_model_glass_beyond_what_nd_and_vd_tell_is_refused():
     text = changed("GLAS N-BK7 0 0", "GLAS ___BLANK 1 0").replace("WAVM 1 0.4861327", "WAVM 1 1.55")
-    assert "at 1550 nm: nd and Vd tell the index from 350 to 1100 nm" in refusal_of(text)
+    assert "at 1550 nm: nd and Vd determine the index only from 350 to 1100 nm" in refusal_of(text)
 
 
 def test_a_glass_is_taken_from_the_catalogue_that_the_file_names():
@@ -233,7 +233,7 @@ def test_crystals_and_plastics_are_taken_and_said(name, glass, nd):
     text = changed("GLAS N-BK7", f"GLAS {name}").replace("1.5168 64.17", f"{nd} 30.0")
     assert lens_of(text).surfaces[0].glass == glass
     (line,) = report_of(text).of(Verdict.APPROXIMATED)
-    assert line.how.startswith(f"{name}: no maker's glass; taken as {glass} (nd ")
+    assert line.how.startswith(f"{name}: not a maker's glass; taken as {glass} (nd ")
     assert refractive_index(glass, D_LINE_NM) == pytest.approx(nd, abs=2e-3)
 
 
@@ -337,7 +337,7 @@ SURF 5
 
 def test_what_is_drawn_shrinks_where_neighbours_cross():
     lens, report = read(FILE, MENISCI_ZMX.splitlines())
-    said = [line.how for line in report.of(Verdict.APPROXIMATED) if "within what the file draws" in line.how]
+    said = [line.how for line in report.of(Verdict.APPROXIMATED) if "limited to the drawn size" in line.how]
     assert len(said) == 2
     # They stand 0.3721 mm apart, and stop doing so at this height.
     sizes = [lens.surfaces[k].semi_diameter_mm for k in (1, 2)]

@@ -83,12 +83,12 @@ def test_the_values_of_the_current_configuration_stand_in_the_surfaces():
 def test_a_file_with_several_says_which_is_taken_and_their_focal_lengths(tmp_path):
     _, report = lens_and_report(ZOOM)
     (line,) = report.of(Verdict.APPROXIMATED)
-    assert line.how == "2 configurations: 1 is taken, whose values stand in the surfaces"
+    assert line.how == "2 configurations: 1, whose values are in the surfaces, is taken"
     each = [lens_and_report(ZOOM, k)[1].focal_length_mm for k in (1, 2)]
     assert report.notes[-1] == f"focal lengths of the configurations: 1: {each[0]:.6g} mm, 2: {each[1]:.6g} mm"
     file = tmp_path / "zoom.zmx"
     file.write_text(ZOOM)
-    with pytest.warns(LensFileWarning, match="2 configurations: 1 is taken"):
+    with pytest.warns(LensFileWarning, match="2 configurations: 1, .* is taken"):
         read_lens(file)
 
 
@@ -105,7 +105,7 @@ def test_an_operand_that_is_not_supported_is_refused_where_it_differs_and_is_not
         ("THIC   1   2 7.5", "THIC   9   2 7.5", "there is no surface 9"),
         ("YFIE   2   2 5", "YFIE   8   2 5", "there is no field 8"),
         ("WAVE   2   2 0.6", "WAVE   8   2 0.6", "there is no wavelength 8"),
-        ("THIC   1   2 7.5", "THIC   1   2 x", "'x' is no number"),
+        ("THIC   1   2 7.5", "THIC   1   2 x", "'x' is not a number"),
         ("GLSS   1   2 N-SF11", "GLSS   1   2 MIRROR", "mirrors are not supported"),
         ("THIC   1   2 7.5 0 0 0 1 1 1 0 0\n", "", "no value for configuration 2"),
     ],
@@ -171,5 +171,5 @@ def test_choices_need_a_lens_file_of_another_program(folder):
         SceneError, match=r"configuration can be chosen for \.csv, \.json, \.len, \.seq, \.zmx files only"
     ):
         loads((SCENE % "configuration = 1").replace("zoom.zmx", "lens.toml"), folder)
-    with pytest.raises(SceneError, match=r"camera\.lens\.configuration = 1: it chooses from a lens file"):
+    with pytest.raises(SceneError, match=r"camera\.lens\.configuration = 1: it selects from a lens file"):
         loads((SCENE % "configuration = 1").replace('file = "zoom.zmx"', "surfaces = []"), folder)

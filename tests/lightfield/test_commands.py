@@ -129,7 +129,7 @@ def test_a_plane_beyond_the_range_is_noted(folder: Path, capsys: pytest.CaptureF
     ("words", "fault"),
     [
         (["refocus"], "nothing to focus on"),
-        (["refocus", "--distance-mm", "480", "--all-in-focus"], "takes its planes from --stack"),
+        (["refocus", "--distance-mm", "480", "--all-in-focus"], "needs --stack FIRST"),
         (["refocus", "--stack", "300:800"], "give three numbers"),
         (["refocus", "--stack", "450:550:0"], "--stack 450:550:0: STEP = 0: must not be 0"),
         (["refocus", "--stack", "450:550:-0.0"], "STEP = -0: must not be 0"),
@@ -171,7 +171,7 @@ def spoilt(folder: Path, how: str, camera: Callable[..., Scene], image_of: Calla
 @pytest.mark.parametrize(
     ("how", "fault"),
     [
-        ("incomplete", "no complete run: report.json missing"),
+        ("incomplete", "not a complete run: report.json missing"),
         ("truncated", "truncated"),
         ("foreign", "run format 99"),
         ("conventional", "conventional camera"),

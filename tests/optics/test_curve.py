@@ -50,7 +50,7 @@ def test_a_tabulated_gaussian_is_one() -> None:
         ("wavelength_nm,value\n500,1\n600,-0.1\n", "value -0.1 at 600 nm"),
         ("wavelength_nm,value\n500,1\n600,1.1\n", "value 1.1 at 600 nm"),
         ("wavelength_nm,value\n500,1\n600\n", "row 3 has 1 values; it must have 2"),
-        ("wavelength_nm,value\n50,1\n600,1\n", "50 nm: wavelengths reach from 100 to 20000 nm"),
+        ("wavelength_nm,value\n50,1\n600,1\n", "50 nm: wavelengths must lie between 100 and 20000 nm"),
         ("wavelength_nm,value\n500,inf\n600,1\n", "value inf at 500 nm"),
     ],
 )

@@ -68,7 +68,7 @@ def test_tilt_and_scale_do_not_change_the_shape(tmp_path: Path) -> None:
         "no tilt": (QUARTER.replace("TILT=NONE\n", ""), "no line that begins with TILT="),
         "cut short": (QUARTER[:-4], "cut short: 28 numbers at least should follow TILT=, not 26"),
         "too long": (QUARTER + "5\n", "1 numbers follow the 9 intensities"),
-        "a word": (QUARTER.replace("4 2 1", "4 two 1"), "line 9: 'two' is no number"),
+        "a word": (QUARTER.replace("4 2 1", "4 two 1"), "line 9: 'two' is not a number"),
         "not finite": (QUARTER.replace("4 2 1", "4 inf 1"), "line 9: 'inf' is not finite"),
         "type B": (QUARTER.replace("3 3 1 2", "3 3 2 2"), "photometric type 2; only type C"),
         "angles out of order": (QUARTER.replace("0 45 90", "0 95 90"), "its vertical angles must increase"),

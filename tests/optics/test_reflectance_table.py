@@ -38,7 +38,7 @@ def test_columns_and_rows_may_stand_in_any_order(tmp_path):
 
 WRONG = {
     "a gap": ([row for row in ROWS if row != (600, 45, 0.03)], "no reflectance for 600 nm at 45 degrees"),
-    "twice": ([*ROWS, (600, 45, 0.04)], "600 nm at 45 degrees stands there twice"),
+    "twice": ([*ROWS, (600, 45, 0.04)], "600 nm at 45 degrees is given twice"),
     "not to grazing": (
         [row for row in ROWS if row[1] != 90],
         "must reach from 0 to 90 degrees; they reach from 0 to 45",
@@ -80,7 +80,7 @@ def test_a_table_without_its_columns_is_refused(tmp_path):
 
 def test_a_file_that_is_no_text_is_refused(tmp_path):
     (tmp_path / "r.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FileError, match="is no UTF-8"):
+    with pytest.raises(FileError, match="is not UTF-8"):
         read_reflectance(tmp_path / "r.csv")
     with pytest.raises(FileError, match="cannot be read"):
         read_reflectance(tmp_path / "none.csv")

@@ -21,7 +21,7 @@ def camera(glass: Any, **keys: Any) -> dict[str, Any]:
     ("glass", "message"),
     [
         ("LZOS/K8", r"surfaces\[0\]\.glass.*camera\.absorption: glass 'LZOS/K8': the catalogue has no internal"),
-        ("HIKARI/J-SF03HS", r"extinction is known from 280 to 290 nm; leave it out"),
+        ("HIKARI/J-SF03HS", r"extinction is known from 280 to 290 nm; omit it"),
         (
             {"nd": 1.5, "vd": 60.0},
             r"camera\.absorption = true: neither lens, array nor cover has a glass",

@@ -19,13 +19,13 @@ TEXTURE = '[[targets]]\nshape = {{ kind = "disk", radius_mm = 1.0 }}\n[targets.m
 REFUSED = {
     "an integer of 4000 digits": (SCENE.replace("[4, 4]", f"[{'9' * 4000}, 4]"), "camera.mla.count[0] = an integer of"),
     "an integer of 9000 digits": (SCENE.replace("[4, 4]", f"[{'9' * 9000}, 4]"), "thousands of digits"),
-    "a hexadecimal integer": (SCENE.replace("[4, 4]", f"[0x{'f' * 9000}, 4]"), "some 10837 digits"),
-    "nested lists": (SCENE.replace("[4, 4]", "[" * 5000 + "]" * 5000), "too deep"),
-    "nested tables": (SCENE.replace("[4, 4]", f"[{{ {'a.' * 3000}b = 1 }}, 4]"), "too deep"),
-    "a file name with NUL": (SCENE + TEXTURE.format('"a\\u0000b.png"'), "no NUL character"),
+    "a hexadecimal integer": (SCENE.replace("[4, 4]", f"[0x{'f' * 9000}, 4]"), "about 10837 digits"),
+    "nested lists": (SCENE.replace("[4, 4]", "[" * 5000 + "]" * 5000), "nested too deeply"),
+    "nested tables": (SCENE.replace("[4, 4]", f"[{{ {'a.' * 3000}b = 1 }}, 4]"), "nested too deeply"),
+    "a file name with NUL": (SCENE + TEXTURE.format('"a\\u0000b.png"'), "not contain a NUL character"),
     "a lens file's name with NUL": (
         re.sub(r"surfaces = \[.*?\n\]", 'file = "a\\\\u0000b.toml"', SCENE, flags=re.DOTALL),
-        "no NUL character",
+        "not contain a NUL character",
     ),
     "a file name of 300 characters": (SCENE + TEXTURE.format(f'"{"n" * 300}"'), "name too long"),
     "a lens file's name of 300 characters": (
@@ -41,7 +41,7 @@ REFUSED = {
     ),
     "too many asphere terms": (
         SCENE.replace("radius_mm = 50.0", f"radius_mm = 50.0, asphere_mm = {[0.0] * (MOST_ASPHERE_TERMS + 1)}"),
-        f"may have {MOST_ASPHERE_TERMS} entries at most",
+        f"may have at most {MOST_ASPHERE_TERMS} entries",
     ),
     "too many replicates": (SCENE + "[transport]\nreplicates = 100000000", "must be 10,000 or less"),
     "a wavelength below zero, and no other": (SCENE + "[transport]\nwavelengths_nm = [-500.0]", "must be 100 or more"),
@@ -120,4 +120,4 @@ def test_an_array_round_the_exit_pupil_is_reported_on(distance_mm: float, pitch_
     assert report.exit_pupil_z_mm == 129.0
     assert report.micro_image_pitch_px == pytest.approx(pitch_px)
     assert report.lines()
-    assert any("fall on one another" in warning for warning in report.warnings) == (pitch_px <= 0)
+    assert any("micro-images coincide" in warning for warning in report.warnings) == (pitch_px <= 0)

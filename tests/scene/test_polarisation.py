@@ -65,18 +65,18 @@ def test_a_scene_with_polarised_light_survives_its_file():
         ),
         (
             {"camera": close_up_camera() | {"mla": close_up_camera()["mla"] | {"curved_coating": "share"}}},
-            'camera.mla.curved_coating = "share": transport.polarisation needs the phases of this coating, which its '
-            "reflectance does not tell; give it layers",
+            'camera.mla.curved_coating = "share": transport.polarisation needs the phases of this coating, which '
+            "reflectance does not give; give layers",
         ),
         (
             {"camera": close_up_camera() | {"mla": close_up_camera()["mla"] | {"flat_coating": "table"}}},
-            'camera.mla.flat_coating = "table": transport.polarisation needs the phases of this coating, which its '
-            "table does not tell; give it layers",
+            'camera.mla.flat_coating = "table": transport.polarisation needs the phases of this coating, which '
+            "table does not give; give layers",
         ),
         (
             {"camera": close_up_camera() | {"mla": close_up_camera()["mla"] | {"flat_coating": "measured"}}},
-            'camera.mla.flat_coating = "measured": transport.polarisation needs the phases of this coating, which its '
-            "measured does not tell; give it layers",
+            'camera.mla.flat_coating = "measured": transport.polarisation needs the phases of this coating, which '
+            "measured does not give; give layers",
         ),
         (
             {"camera": camera_without_array() | {
@@ -100,11 +100,11 @@ def test_layers_are_welcome_and_so_is_what_no_surface_has():
 
 def test_the_mesh_engine_traces_polarised_light():
     few = {"transport.samples": 1, "transport.replicates": 2}
-    assert lf.render(scene().changed(few)).engine == "mesh: transport.polarisation is the mesh engine's"
+    assert lf.render(scene().changed(few)).engine == "mesh: transport.polarisation needs the mesh engine"
     assert lf.render(scene(polarisation=False).changed(few)).engine.startswith("both: ")
-    with pytest.raises(SceneError, match=r"transport\.polarisation is the mesh engine's"):
+    with pytest.raises(SceneError, match=r"transport\.polarisation needs the mesh engine"):
         lf.render(scene(transport={"engine": "sequential"}))
-    with pytest.raises(LfmeshError, match=r"transport\.polarisation is the mesh engine's"):
+    with pytest.raises(LfmeshError, match=r"transport\.polarisation needs the mesh engine"):
         lf.trace(lf.build(scene(), aimed=False), [0, 0, -9], [0, 0, 1], split="transmit", engine="sequential")
 
 

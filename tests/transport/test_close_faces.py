@@ -92,7 +92,7 @@ def test_a_ball_that_fills_a_hollow_needs_the_facets_of_the_hollow(body: Body) -
     assert refusal(body(*shell), body(ball(8.0), index=1.333)) is None
     said = refusal(body(*shell), body(ball(8.0, finer=4), index=1.333))
     assert said is not None
-    assert "let both have the same facets there" in said
+    assert "give both the same facets there" in said
     assert refusal(body(*shell), body(ball(8.0 - advised(said), finer=4), index=1.333)) is None
 
 

@@ -304,8 +304,8 @@ def test_reflections_diffract_alike_both_ways(split: str) -> None:
     ("changed", "words"),
     [
         ({"camera.mla": None}, "needs camera.mla"),
-        ({"camera.mla.curved_finish": "diffuse"}, "needs an array that is polished"),
-        ({"transport.polarisation": True}, "is not followed for polarised light"),
+        ({"camera.mla.curved_finish": "diffuse"}, "needs a polished array"),
+        ({"transport.polarisation": True}, "is not traced for polarised light"),
     ],
 )
 def test_what_is_not_followed_is_refused(changed: dict[str, Any], words: str) -> None:
@@ -332,7 +332,7 @@ def test_round_apertures_widen_airy_disks() -> None:
 
 def test_the_sequential_engine_refuses_given_rays_that_diffract() -> None:
     world = lf.build(camera(across=3))
-    with pytest.raises(lf.LfmeshError, match="turns light packet by packet"):
+    with pytest.raises(lf.LfmeshError, match="deflects light packet by packet"):
         lf.trace(world, [[0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0]], engine="sequential", split="transmit")
 
 

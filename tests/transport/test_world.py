@@ -236,9 +236,7 @@ def test_a_target_beside_the_barrel_is_allowed():
 
 
 def test_an_unknown_mesh_is_refused_with_the_names_there_are():
-    with pytest.raises(
-        lf.LfmeshError, match=r"no mesh is called 'lens\[9\]'; there are lens\[0\], .*, sensor, housing"
-    ):
+    with pytest.raises(lf.LfmeshError, match=r"unknown mesh 'lens\[9\]'; valid are lens\[0\], .*, sensor, housing"):
         world_of().mesh("lens[9]")
 
 

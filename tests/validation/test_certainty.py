@@ -198,7 +198,7 @@ def test_bounds_hold_light_through_rims_of_views_that_a_pixel_has_not_met_and_a_
     dim = truth < np.quantile(truth, 0.2)
     held_ = []
     for image in by_seed(scene, range(6)):
-        assert any("neighbours met" in str(said) for said in image.warnings), image.warnings
+        assert any("those of their neighbours" in str(said) for said in image.warnings), image.warnings
         held_.append(image.upper[dim] >= truth[dim])
     found = np.array(held_)
     assert stats.binomtest(int(found.sum()), found.size, UPPER, "less").pvalue > LEVEL, found.mean()

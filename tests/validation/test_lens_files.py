@@ -49,7 +49,7 @@ FOR_LITHOGRAPHY = "zemax/tests/US05831776-1.zmx"
 """Read, and compared with nothing here: its object is near, and its light of 248 nm."""
 OF_FORMER_GLASS = "zemax/tests/zmax_55278.zmx"
 """Read with the successor of its BK7, and compared with nothing here: ray-optics has a choice of its own for BK7."""
-MIRRORS, TILTS = "mirrors are not supported", "the axis is not turned back"
+MIRRORS, TILTS = "mirrors are not supported", "the axis is not restored"
 REFUSED = {
     "codev/tests/CODV_65988.seq": "diffractive surfaces are not supported",
     "codev/tests/achroMangin.seq": MIRRORS,

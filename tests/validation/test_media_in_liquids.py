@@ -164,11 +164,11 @@ def test_forward_passes_walls_of_the_index_of_the_water() -> None:
     [
         ({"absorption_per_mm": 0.1, "inside": "water"}, r"inside = \"water\": no body .* are \"tanks\[0\] wall\", "),
         ({"absorption_per_mm": 0.1, "bounds": {"kind": "sphere", "radius_mm": 5.0}, "position_mm": (0.0, 0.0, -150.0)},
-         r"media\[0\]: lies inside tanks\[0\] liquid, which displaces what is round it; give inside = \"tanks\[0\] "),
+         r"media\[0\]: lies inside tanks\[0\] liquid, which displaces its surroundings; give inside = \"tanks\[0\] "),
         ({"absorption_per_mm": 0.1, "bounds": {"kind": "sphere", "radius_mm": 5.0}, "inside": LIQUID,
           "position_mm": (0.0, 0.0, -90.0)}, r"media\[0\]: lies wholly outside tanks\[0\] liquid"),
         ({"scattering_per_mm": 0.1, "inside": LIQUID, "phase": {"kind": "mie", "diameter_um": 2.0, "index": 1.333}},
-         r"media\[0\].phase.index = 1.333: is that of what is round the spheres"),
+         r"media\[0\].phase.index = 1.333: equals the index of the surroundings"),
     ],
 )  # fmt: skip
 def test_media_that_are_nowhere_are_refused(medium: dict[str, Any], message: str) -> None:

@@ -454,7 +454,7 @@ def test_a_run_whose_order_deviates_uses_the_meshes_and_says_so() -> None:
     image = Renderer(world).image()
     assert image.order is not None
     assert not image.order.holds
-    assert any(line.startswith("Warning: surfaces of lens and array") for line in summary(image))
+    assert any(line.startswith("Warning: sequential and mesh tracing of lens and array") for line in summary(image))
     honest = Renderer(lf.build(scene()))
     honest.parts = parts_of(honest.world, by_meshes=True)
     assert np.array_equal(image.mean, honest.image().mean)

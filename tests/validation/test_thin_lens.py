@@ -301,7 +301,7 @@ def test_a_zemax_file_holds_thin_lenses_and_a_codev_file_refuses_them(tmp_path: 
     write_lens_file(lens, tmp_path / "thin.zmx")
     again, _ = read_lens_file(tmp_path / "thin.zmx")
     assert again.surfaces == lens.surfaces
-    with pytest.raises(LfmeshError, match=r"surfaces\[0\].paraxial: a CODE V file holds no thin lens"):
+    with pytest.raises(LfmeshError, match=r"surfaces\[0\].paraxial: a CODE V file cannot hold a thin lens"):
         write_lens_file(lens, tmp_path / "thin.seq")
     assert not (tmp_path / "thin.seq").exists()
 

@@ -399,7 +399,7 @@ def test_decoding_refuses_the_plate_in_one_line():
         ({"camera.mla.back.radius_mm": 0.05}, "camera.mla.back.radius_mm = 0.05: the lenslets end 0.05 mm"),
         (
             {"camera.mla.back.radius_mm": 0.1, "camera.mla.radius_mm": 0.09, "camera.mla.thickness_mm": 0.1},
-            "so that they meet in the plate: give thickness_mm",
+            "so they meet inside the plate: give thickness_mm",
         ),
         ({"camera.mla.radius_mm": None, "camera.mla.focal_length_mm": 0.5}, "camera.mla.focal_length_mm = .0.5.: a f"),
         (

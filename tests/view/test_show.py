@@ -153,7 +153,7 @@ def test_with_missing_libraries_the_command_says_so_in_one_line(scene_file: Path
         (["--html", "nowhere/out.html"], r"nowhere does not exist"),
         (["--screenshot", "out.png", "--size", "huge"], r"--size huge: give WIDTHxHEIGHT"),
         (["--screenshot", "out.png", "--size", "0x10"], r"--size 0x10: give WIDTHxHEIGHT"),
-        (["--table", "--rays", "beam 1"], r"no way to launch is called 'beam'"),
+        (["--table", "--rays", "beam 1"], r"unknown launch 'beam'"),
         (["--table", "--rays", "none"], r"no paths to report"),
         (["--table", "--filter", "hits(moon)"], r"moon"),
     ],
@@ -342,5 +342,5 @@ def test_rays_of_different_units_are_not_mixed(world: lf.World) -> None:
         lambda: launch.from_field_point(world, [0.0, 0.0, -199.0], 4),
         lambda: launch.from_pixel(world, 50, 60, 4),
     ]
-    with pytest.raises(LfmeshError, match="no common power"):
+    with pytest.raises(LfmeshError, match="different units"):
         together([make() for make in parts])

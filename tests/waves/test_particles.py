@@ -102,7 +102,7 @@ def test_particles_that_scatter_unevenly_send_what_rays_bring() -> None:
 
 
 def test_particles_whose_light_changes_over_the_lens_are_refused() -> None:
-    with pytest.raises(lf.LfmeshError, match=r"particles\[0\], number 0 at .*: the light that it scatters changes by"):
+    with pytest.raises(lf.LfmeshError, match=r"particles\[0\], number 0 at .*: its scattered light varies by"):
         lf.render(in_a_sheet(80.0, **{"camera.lens.surfaces[0].semi_diameter_mm": 10.0}))
 
 
@@ -131,7 +131,7 @@ def test_particles_behind_a_target_are_dark_and_one_that_is_half_hidden_is_named
     }
     assert (lf.render(scene(particles=[one], targets=[wall])).mean == 0.0).all()
     half = wall | {"position_mm": (20.0, 0.0, -0.5 * FAR)}
-    words = r"particles\[0\], number 0 at \(.*, -2000\) mm: .* hides it from .* places of the pupil"
+    words = r"particles\[0\], number 0 at \(.*, -2000\) mm: .* hides it from .* points of the pupil"
     with pytest.raises(lf.LfmeshError, match=words):
         lf.render(scene(particles=[one], targets=[half]))
 
@@ -152,7 +152,7 @@ def test_a_particle_too_wide_for_waves_is_named_before_the_first_spread(
         pytest.fail("the waves were followed")
 
     monkeypatch.setattr("lfmesh.waves.lit_particle.followed", never)
-    far, words = two_at(-FAR, -200.0), r"particles\[1\], number 0 at \(.*, -200\) mm: .* places on a side"
+    far, words = two_at(-FAR, -200.0), r"particles\[1\], number 0 at \(.*, -200\) mm: .* points per side"
     with pytest.raises(lf.LfmeshError, match=words) as error:
         lf.render(far)
     assert "\n" not in str(error.value)
@@ -170,9 +170,7 @@ def test_a_particle_whose_spread_does_not_settle_is_told_what_helps(monkeypatch:
     """Particles have no tolerance that could be raised."""
     monkeypatch.setattr("lfmesh.waves.extent.MOST", 250)
     monkeypatch.setattr("lfmesh.waves.lit_particle.TOLERANCE", 1e-9)
-    with pytest.raises(
-        lf.LfmeshError, match=r"particles\[0\], number 0 .* 1e-09 is allowed; give a point nearer"
-    ) as error:
+    with pytest.raises(lf.LfmeshError, match=r"particles\[0\], number 0 .* above 1e-09; give a point nearer") as error:
         lf.render(scene())
     assert "tolerance =" not in str(error.value)
 
@@ -189,8 +187,8 @@ def test_a_run_tells_the_progress_of_spreads_and_what_light_they_bring() -> None
     assert image.ledger.untraced == pytest.approx(image.mean.sum() - traced.mean.sum(), rel=1e-9)
     assert abs(image.ledger.imbalance) < 1e-12
     share = percent(image.ledger.untraced / image.mean.sum())
-    assert any(line.startswith("Particles bring") and share in line for line in account(image))
-    assert not any(line.startswith("Particles bring") for line in account(traced))
+    assert any(line.startswith("Particles, pictured by") and share in line for line in account(image))
+    assert not any(line.startswith("Particles, pictured by") for line in account(traced))
 
 
 def test_check_says_beforehand_how_many_particles_are_pictured_by_spreads() -> None:
@@ -306,7 +304,7 @@ def test_particles_before_a_real_lens_are_interpolated(
                 "transport": BANDS,
                 "camera.sensor.bands": [{"name": "r", "center_nm": 600.0, "fwhm_nm": 50.0}],
             },
-            "leave bands out",
+            "omit bands",
         ),
     ],
 )

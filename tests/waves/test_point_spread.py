@@ -226,7 +226,7 @@ BESIDE = PLATE | {"position_mm": (50.5, 0.0, -200.0)}
     ("target", "message"),
     [
         (PLATE | {"position_mm": (0.0, 0.0, -200.0)}, r"targets\[0\] hides it; move the point"),
-        (BESIDE | {"name": "fence"}, r"fence hides it from .* of .* places of the pupil"),
+        (BESIDE | {"name": "fence"}, r"fence hides it from .* of .* points of the pupil"),
     ],
     ids=["whole", "part"],
 )

@@ -145,5 +145,5 @@ def test_two_rays_that_pass_are_too_few_and_no_collimated_light() -> None:
     bundle = camera.looked_at(np.array([0.0, 0.0, -500.0]), WAVE_NM)
     weight = bundle.weight.copy()
     weight[2:] = 0.0
-    with pytest.raises(lf.LfmeshError, match="the lens lets 2 of 273 rays of this point pass"):
+    with pytest.raises(lf.LfmeshError, match="only 2 of 273 rays of this point pass the lens"):
         pupil_rays(bundle._replace(weight=weight), camera.camera, float(camera.sensor_mm[2]), WAVE_NM)

@@ -82,7 +82,7 @@ def export_field(
     if kind not in get_args(FieldFormat):
         raise LfmeshError(f"kind = {kind!r}: must be one of {', '.join(get_args(FieldFormat))}")
     if depth_mm is not None and kind not in _WITH_DEPTH:
-        raise LfmeshError(f"depth_mm: {kind} holds no depth, hci does, and exr-rgb")
+        raise LfmeshError(f"depth_mm: {kind} cannot hold depth; hci and exr-rgb can")
 
     def write(staging: Path) -> dict[str, Any]:
         if kind in _WITH_DEPTH:
@@ -106,7 +106,7 @@ def _black_views(field: LightField) -> Iterator[UserWarning]:
     advice = f"; decode {_whole_across(count - 2 * rest[0])}" if rest else ""
     yield UserWarning(
         f"{dark.sum()} of {dark.size} views are unknown in more than {HARDLY_DARK:.0%} of their samples, {black} "
-        f"of them in all, as no light of their lenslets comes there: the files have black in these places{advice}"
+        f"of them in all, because no light of their lenslets arrives: the files are black there{advice}"
     )
 
 

@@ -120,8 +120,8 @@ def write_hci(folder: Path, field: LightField, depth_mm: NDArray[np.floating] | 
         "order": f"input_Cam%03d.png is view v * {field.views[1]} + u: row by row from the highest viewpoint (+y), "
         "each from left to right (+x); views upright",
         "encoding": "sRGB, 8 bits, one exposure for all",
-        "depth": "m from the entrance pupil; disparity in samples a view, positive nearer than the focus: such a point "
-        "lies further left in the next camera to the right, further up in the next one below",
+        "depth": "m from the entrance pupil; disparity in samples per view, positive nearer than the focus: such a "
+        "point lies further left in the next camera to the right, further up in the next one below",
     }
 
 

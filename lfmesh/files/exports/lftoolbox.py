@@ -32,7 +32,7 @@ def write_mat(folder: Path, field: LightField) -> dict[str, Any]:
     rgb, known = linear_rgb(field)
     if 8 * known.size > MOST_BYTES:
         raise FileError(
-            f"{MAT}: {known.size} samples take {8 * known.size} bytes, a MAT-file holds {MOST_BYTES} a variable; "
+            f"{MAT}: {known.size} samples take {8 * known.size} bytes, but a MAT-file holds {MOST_BYTES} per variable; "
             "decode fewer views"
         )
     counts, unit_per_count = to_counts(rgb)
@@ -60,7 +60,7 @@ def write_eslf(folder: Path, field: LightField) -> dict[str, Any]:
         "order": f"picture[t * {v} + v, s * {u} + u]: every lenslet a tile of {u} x {v} views; view v, u is every "
         f"{v}th row from v and every {u}th column from u; t and rows of a view down (-y), s and columns right (+x); v "
         "grows as the viewpoint moves down (-y), u as it moves right (+x)",
-        "encoding": "linear, 16 bits a colour",
+        "encoding": "linear, 16 bits per colour",
         **_scale(field, unit_per_count),
     }
 

@@ -90,7 +90,7 @@ def check_step(content: bytes) -> None:
     defined = set(map(int, _DEFINED.findall(bare)))
     missing = sorted(set(map(int, _NAMED.findall(bare))) - defined)
     if missing:
-        raise UnusableError(f"broken: {len(missing)} entities are named and not there, the first is #{missing[0]}")
+        raise UnusableError(f"broken: {len(missing)} entities are named but missing, the first is #{missing[0]}")
 
 
 def step_to_glb(content: bytes, tolerance_mm: float | None, factor: float = 1.0) -> bytes:
@@ -122,7 +122,7 @@ def step_to_glb(content: bytes, tolerance_mm: float | None, factor: float = 1.0)
     if tolerance_mm is None:
         tolerance_mm = max(DEFAULT_TOLERANCE * _diagonal_mm(meshed(COARSE_MM)), FINEST_MM)
     if tolerance_mm < FINEST_MM:
-        raise UnusableError(f"tolerance_mm = {tolerance_mm:g} is finer than {FINEST_MM:g}, the finest")
+        raise UnusableError(f"tolerance_mm = {tolerance_mm:g} is finer than the limit of {FINEST_MM:g}")
     return meshed(tolerance_mm * factor)
 
 
@@ -170,7 +170,7 @@ class _Package:
             content = _unpacked(self.package, part)
             self._unpacked += len(content)
             if self._unpacked > MOST_MODEL_BYTES:
-                raise UnusableError(f"its models unpack to more than {MOST_MODEL_BYTES // 2**20} MiB, the most")
+                raise UnusableError(f"its models unpack to more than the limit of {MOST_MODEL_BYTES // 2**20} MiB")
             root = ElementTree.fromstring(content)
             if _tag(root) != "model":
                 raise UnusableError(f"broken: its model begins with <{_tag(root)[:40]}>; valid is <model>")
@@ -185,7 +185,7 @@ class _Package:
         """Return an object, reading its model if needed."""
         self.model(key[0])
         if key not in self.objects:
-            raise UnusableError(f"broken: its model names object {key[1][:40]!r}, which is not there")
+            raise UnusableError(f"broken: its model names object {key[1][:40]!r}, which is missing")
         return self.objects[key]
 
 
@@ -258,9 +258,7 @@ class _Colours:
             if key is not None:
                 self.groups[_need(group, "id")] = np.array([_coded(_need(each, key)) for each in group]).reshape(-1, 3)
             elif _tag(group) in ("texture2dgroup", "compositematerials", "multiproperties"):
-                self.notes[f"its <{_tag(group)}> are left out: its facets have the material that the scene gives"] = (
-                    None
-                )
+                self.notes[f"its <{_tag(group)}> are left out: its facets have the scene's material"] = None
 
     def of(self, used: list[tuple[str | None, ...]], default: tuple[str | None, str | None]) -> Array | None:
         """Return the colours (m, 3, 3) of facets by their pid, p1, p2 and p3; None if none has one.
@@ -309,11 +307,11 @@ def _model_part(package: zipfile.ZipFile) -> str:
 def _unpacked(package: zipfile.ZipFile, name: str) -> bytes:
     """Return a part of the package, refusing more than `MOST_MODEL_BYTES`, whatever its header says."""
     if name not in package.namelist():
-        raise UnusableError(f"broken: its part {name[:80]!r} is not there")
+        raise UnusableError(f"broken: its part {name[:80]!r} is missing")
     with package.open(name) as part:
         content = part.read(MOST_MODEL_BYTES + 1)
     if len(content) > MOST_MODEL_BYTES:
-        raise UnusableError(f"its part {name[:80]!r} unpacks to more than {MOST_MODEL_BYTES // 2**20} MiB, the most")
+        raise UnusableError(f"its part {name[:80]!r} unpacks to more than the limit of {MOST_MODEL_BYTES // 2**20} MiB")
     return content
 
 
@@ -332,7 +330,7 @@ def _numbers(values: list[str | None], of: Callable[[str], float], what: str) ->
     try:
         return [of(value or "") for value in values]
     except (ValueError, OverflowError):
-        raise UnusableError(f"broken: {what} of its model is no number: {str(values)[:80]}") from None
+        raise UnusableError(f"broken: {what} of its model is not a number: {str(values)[:80]}") from None
 
 
 def _transform(element: ElementTree.Element) -> Array:
@@ -365,7 +363,7 @@ def _object(element: ElementTree.Element, part: str, colours: _Colours) -> Objec
     try:
         of_facets = colours.of(used, (element.get("pid"), element.get("pindex"))) if used else None
     except ValueError:
-        raise UnusableError("broken: the number of a colour of its model is no number") from None
+        raise UnusableError("broken: the number of a colour of its model is not a number") from None
     return Object3mf(name, np.array(points, dtype=np.float64).reshape(-1, 3), faces, of_facets, parts)
 
 
@@ -394,7 +392,7 @@ class _Build:
         self.placed += 1
         self.facets += len(one.faces)
         if depth > DEEPEST:
-            raise UnusableError(f"its components stand in one another more than {DEEPEST} deep, as in a loop")
+            raise UnusableError(f"its components are nested more than {DEEPEST} deep, as in a loop")
         if self.placed > MOST_PLACED or self.facets > MOST_PLACED_FACETS:
             raise UnusableError(
                 f"has more than {MOST_PLACED} objects or {MOST_PLACED_FACETS} facets, counted as placed"

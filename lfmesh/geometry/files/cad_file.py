@@ -105,7 +105,7 @@ def _opened(path: Path, stamp: tuple[object, ...], tolerance_mm: float | None, s
         raise MeshError(f"{path}: STEP files need cascadio: pip install 'lfmesh[cad]', or save it as STL or GLB")
     size = path.stat().st_size
     if size > MOST_BYTES:
-        raise MeshError(f"{path}: has {size / 2**20:.0f} MiB; {MOST_BYTES // 2**20} MiB are the most")
+        raise MeshError(f"{path}: has {size / 2**20:.0f} MiB; the limit is {MOST_BYTES // 2**20} MiB")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
         for factor, share in COARSER if is_step else ((1.0, 1.0),):
@@ -124,9 +124,9 @@ def _coarser_in_words(factor: float, tolerance_mm: float | None, seconds: int) -
         return ""
     asked = f"tolerance_mm = {tolerance_mm:g}" if tolerance_mm else "usual"
     return (
-        f"making its facets took more than {math.ceil(COARSER[0][1] * seconds)} s of processor time. They are coarser "
-        f"and lie up to {factor:g} times as far off its surfaces as {asked}. Set the environment variable {SECONDS} to "
-        f"more than {seconds}, or give a larger tolerance_mm"
+        f"making its facets took more than {math.ceil(COARSER[0][1] * seconds)} s of processor time, so they are "
+        f"coarser and lie up to {factor:g} times as far off its surfaces as {asked}. Set the environment variable "
+        f"{SECONDS} to more than {seconds}, or give a larger tolerance_mm"
     )
 
 
@@ -182,13 +182,13 @@ def _reason(path: Path, code: int, errors: bytes, seconds: int) -> str:
     lines = errors.decode("utf-8", errors="replace").splitlines()
     said = next((line.removeprefix("unusable: ") for line in lines if line.startswith("unusable: ")), None)
     if said == "memory" or any("bad_alloc" in line or "MemoryError" in line for line in lines):
-        return f"opening it took more than {MOST_MEBIBYTES} MiB, the most; {_way_out(path)}"
+        return f"opening it took more than the limit of {MOST_MEBIBYTES} MiB; {_way_out(path)}"
     if said is not None:
         return said[:LONGEST_REASON]
     if any("File too large" in line for line in lines) or code == -25:
         return f"has more facets than fit into {MOST_OUTPUT_MEBIBYTES} MiB; {_way_out(path)}"
     if code == ENDED_BY_SYSTEM:
-        return f"the system ended the program that opened it, most likely for want of memory; {_way_out(path)}"
+        return f"the system ended the program that opened it, most likely because memory ran out; {_way_out(path)}"
     if code == OUT_OF_TIME:
         coarser = ", with coarser facets as well" if path.suffix.lower() in STEP_ENDINGS else ""
         return (
@@ -197,7 +197,7 @@ def _reason(path: Path, code: int, errors: bytes, seconds: int) -> str:
         )
     if code < 0:
         # OpenCASCADE may crash for want of memory as well as on an unexpected file.
-        return f"broken, or needs more than {MOST_MEBIBYTES} MiB, the most; {_way_out(path)}"
+        return f"broken, or needs more than the limit of {MOST_MEBIBYTES} MiB; {_way_out(path)}"
     last = lines[-1][:LONGEST_REASON] if lines else f"ended with {code}"
     return f"broken, or of a kind that cannot be read (the program that opened it: {last})"
 

@@ -33,4 +33,4 @@ def check_companion(path: Path, name: str, kind: str) -> None:
     except OSError as error:
         raise MeshError(f"{path}: its {kind} {name[:200]!r}: {error.strerror}") from None
     if irregular:
-        raise MeshError(f"{path}: its {kind} {name} is no regular file")
+        raise MeshError(f"{path}: its {kind} {name} is not a regular file")

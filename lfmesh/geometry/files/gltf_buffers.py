@@ -58,7 +58,7 @@ class Buffers:
         entries = self.document.get(key, [])
         if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < len(entries):
             return entries[number]
-        raise ValueError(f"{key}[{repr(number)[:40]}] is named, and there are {len(entries)}, counted from 0")
+        raise ValueError(f"{key}[{repr(number)[:40]}] is named, but there are {len(entries)}, counted from 0")
 
     @cached_property
     def _chunk(self) -> tuple[int, int]:
@@ -73,7 +73,7 @@ class Buffers:
         """Return the bytes of a buffer other than the binary chunk."""
         uri = self._entry("buffers", number).get("uri")
         if uri is None:
-            raise ValueError(f"buffers[{number}] has no uri: an extension that is not read would fill it")
+            raise ValueError(f"buffers[{number}] has no uri, as with an extension that is not supported")
         if number not in self._contents:
             self._contents[number] = bytes_of(self.path, uri, "buffer")
         return self._contents[number]
@@ -88,7 +88,7 @@ class Buffers:
         start, length = _whole(entry, "byteOffset", 0), _whole(entry, "byteLength", None)
         if start + length > size:
             raise ValueError(
-                f"cut short: bufferViews[{number}] ends at byte {start + length}, and its buffer has {size}"
+                f"cut short: bufferViews[{number}] ends at byte {start + length}, but its buffer has {size}"
             )
         if not self._is_chunk(buffer):
             return memoryview(self._content(buffer))[start : start + length], _whole(entry, "byteStride", 0)
@@ -119,7 +119,7 @@ class Buffers:
         """Return the integers of an accessor, (count,)."""
         values, _ = self._numbers(number, ("SCALAR",))
         if values.dtype.kind != "u":
-            raise ValueError(f"accessors[{number}] has no unsigned whole numbers, which indices are")
+            raise ValueError(f"accessors[{number}] must hold unsigned whole numbers, as indices")
         return values[:, 0].astype(np.int64)
 
     def _numbers(self, number: Any, types: tuple[str, ...]) -> tuple[NDArray[Any], bool]:
@@ -139,7 +139,7 @@ class Buffers:
     def _stored(self, where: str, entry: dict[str, Any], dtype: np.dtype[Any], width: int, count: int) -> Array:
         if "bufferView" not in entry:
             if count > MOST_ZEROS:
-                raise ValueError(f"{where} has {count} entries that are not stored; {MOST_ZEROS} are the most")
+                raise ValueError(f"{where} has {count} entries that are not stored; the limit is {MOST_ZEROS}")
             return np.zeros((count, width), dtype)
         view, stride = self.view(entry["bufferView"])
         return _strided(where, view, dtype, (count, width), _whole(entry, "byteOffset", 0), stride)
@@ -159,7 +159,7 @@ class Buffers:
             found.append(_strided(f"{where}.sparse.{key}", view, kind, (count, width), offset, 0))
         places = found[0][:, 0]
         if count and not 0 <= places.min() <= places.max() < len(values):
-            raise ValueError(f"{where}.sparse replaces entry {places.max()}, and there are {len(values)}")
+            raise ValueError(f"{where}.sparse replaces entry {places.max()}, but there are {len(values)}")
         made = values.copy()
         made[places] = found[1]
         return made
@@ -236,10 +236,10 @@ def bytes_of(path: Path, uri: Any, kind: str) -> bytes:
                 base64.b64decode(unquote(data), validate=False) if head.endswith(";base64") else unquote(data).encode()
             )
         except binascii.Error as error:
-            raise ValueError(f"the data of a {kind} are not coded as they say ({error})") from None
+            raise ValueError(f"the data of a {kind} are not encoded as stated ({error})") from None
     name = companion_name(path, names_of(uri), kind)
     if name is None:
         shown = names_of(uri)[0]
         check_companion(path, shown, kind)
-        raise MeshError(f"{path}: its {kind} {shown[:200]} is not there; put it beside the mesh")
+        raise MeshError(f"{path}: its {kind} {shown[:200]} is missing; put it beside the mesh")
     return read_bytes(path.parent / name)

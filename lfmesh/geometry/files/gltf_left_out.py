@@ -17,7 +17,7 @@ _EVERYWHERE = dict.fromkeys(("name", "extras"), SILENT)
 
 OF_NODE = _EVERYWHERE | {
     **dict.fromkeys(("camera", "children", "matrix", "mesh", "rotation", "scale", "translation"), SILENT),
-    "skin": "its bones are left out: it stands in the shape that it was made in",
+    "skin": "its bones are left out: it keeps its rest pose",
     # Weights of morph targets, which are reported for the primitives.
     "weights": SILENT,
 }
@@ -95,7 +95,7 @@ def _of_material(document: dict[str, Any], number: Any) -> Iterator[str]:
     material = _entry(document, "materials", number)
     if only_specular(material) is not None:
         # It replaces the missing metallic-roughness description.
-        yield f"materials[{number}]: {SPECULAR_GLOSSINESS} is read without its specular colour and its picture of both"
+        yield f"materials[{number}]: {SPECULAR_GLOSSINESS} is read without its specular colour and combined picture"
         extensions = {key: value for key, value in material["extensions"].items() if key != SPECULAR_GLOSSINESS}
         material = material | {"extensions": extensions}
     glow = material.get("emissiveFactor", [0.0])

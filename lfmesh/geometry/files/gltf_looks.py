@@ -127,9 +127,7 @@ class Looks:
         textures = entries_of(self.path, self.document, "textures")
         texture = textures[number_below(self.path, "a texture's index", info.get("index"), len(textures))]
         if "source" not in texture:
-            self.pictures.notes.add(
-                "a picture of a kind that is not read is left out: its facets have their plain colour"
-            )
+            self.pictures.notes.add("a picture of an unsupported kind is left out: its facets have their plain colour")
             return None
         images = entries_of(self.path, self.document, "images")
         number = number_below(self.path, "textures.source", texture["source"], len(images))
@@ -206,7 +204,7 @@ def check_material(path: Any, where: str, material: dict[str, Any]) -> None:
         shares["glossinessFactor"] = other.get("glossinessFactor", 1.0)
         colours["diffuseFactor"] = other.get("diffuseFactor", [1.0] * 4)
         if not isinstance(other.get("diffuseTexture", {}), dict):
-            raise MeshError(f"{path}: broken: {where}.diffuseTexture is no object")
+            raise MeshError(f"{path}: broken: {where}.diffuseTexture is not an object")
     for key, value in shares.items():
         if not _is_share(value):
             raise MeshError(f"{path}: {where}.{key} is {reprlib.repr(value)}; valid are numbers from 0 to 1")

@@ -74,13 +74,13 @@ def nodes_of(path: Path, document: dict[str, Any]) -> list[Node]:
     """
     entries = entries_of(path, document, "nodes")
     if len(entries) > MOST_NODES:
-        raise MeshError(f"{path}: has {len(entries)} nodes; {MOST_NODES} are the most")
+        raise MeshError(f"{path}: has {len(entries)} nodes; the limit is {MOST_NODES}")
     if "scenes" not in document:
         return []
     scenes = entries_of(path, document, "scenes")
     scene = scenes[number_below(path, "scene", document.get("scene", 0), len(scenes))]
     if not isinstance(scene.get("nodes", []), list):
-        raise MeshError(f"{path}: broken: its scene's nodes are no list")
+        raise MeshError(f"{path}: broken: its scene's nodes are not a list")
     waiting: list[tuple[int, Array]] = [
         (number_below(path, "a node of its scene", child, len(entries)), np.eye(4)) for child in scene.get("nodes", [])
     ]
@@ -88,7 +88,7 @@ def nodes_of(path: Path, document: dict[str, Any]) -> list[Node]:
     while waiting:
         number, parent = waiting.pop()
         if number in found:
-            raise MeshError(f"{path}: broken: nodes[{number}] stands twice in its node tree, as a loop does")
+            raise MeshError(f"{path}: broken: nodes[{number}] occurs twice in its node tree, as in a loop")
         entry = entries[number]
         found[number] = parent @ _own_matrix(path, number, entry)
         waiting += [
@@ -205,7 +205,7 @@ def check_document(path: Path, document: dict[str, Any]) -> None:
                     raise MeshError(f"{path}: broken: {place[-LONGEST_NAME:]} is {shown}; valid is {kind}")
                 if key == "extensions":
                     if any(not isinstance(each, dict) for each in item.values()):
-                        raise MeshError(f"{path}: broken: {place[-LONGEST_NAME:]} holds one that is no object")
+                        raise MeshError(f"{path}: broken: {place[-LONGEST_NAME:]} holds an entry that is not an object")
                     # Other extensions define their own keys.
                     item = {name: each for name, each in item.items() if name in TAKEN_EXTENSIONS}
                 if key != "extras":
@@ -251,7 +251,7 @@ def _own_matrix(path: Path, number: int, entry: dict[str, Any]) -> Array:
     if "matrix" in entry:
         matrix = finite_numbers(path, f"{where}.matrix", entry["matrix"], 16).reshape(4, 4).T
         if not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
-            raise MeshError(f"{path}: {where}.matrix is no affine one: its last row must be 0, 0, 0, 1")
+            raise MeshError(f"{path}: {where}.matrix is not affine: its last row must be 0, 0, 0, 1")
         return matrix
     made = np.eye(4)
     made[:3, 3] = finite_numbers(path, f"{where}.translation", entry.get("translation", [0.0] * 3), 3)
@@ -312,7 +312,7 @@ def number_below(path: Path, where: str, value: Any, count: int) -> int:
     """
     if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count:
         return value
-    raise MeshError(f"{path}: broken: {where} is {repr(value)[:LONGEST_NAME]}, and there are {count}, counted from 0")
+    raise MeshError(f"{path}: broken: {where} is {repr(value)[:LONGEST_NAME]}, but there are {count}, counted from 0")
 
 
 def entries_of(path: Path, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
@@ -334,4 +334,4 @@ def entries_of(path: Path, holder: dict[str, Any], key: str) -> list[dict[str, A
     entries = holder.get(key, [])
     if isinstance(entries, list) and set(map(type, entries)) <= {dict}:
         return entries
-    raise MeshError(f"{path}: broken: {key} is no list of objects")
+    raise MeshError(f"{path}: broken: {key} is not a list of objects")

@@ -72,7 +72,7 @@ def _piece(where: str, primitive: dict[str, Any], buffers: Buffers, looks: Looks
             return None
         values = buffers.accessor(attributes[name], types)
         if len(values) != len(positions):
-            raise ValueError(f"{where} has {len(positions)} vertices, and {len(values)} entries of {name}")
+            raise ValueError(f"{where} has {len(positions)} vertices, but {len(values)} entries of {name}")
         return values[faces]
 
     def in_picture(place: Place) -> Array | None:
@@ -87,7 +87,7 @@ def _piece(where: str, primitive: dict[str, Any], buffers: Buffers, looks: Looks
     if uv is None and place.uv_set:
         uv = in_picture(place._replace(uv_set=0))
     if gloss is not None and gloss_uv is None:
-        notes.count(len(faces), "{} of its facets have no place in their picture of metallic and roughness")
+        notes.count(len(faces), "{} of its facets have no texture coordinates for metallic and roughness")
     normals = at_corners("NORMAL", "VEC3")
     colours = at_corners("COLOR_0", "VEC3", "VEC4")
     return Piece(

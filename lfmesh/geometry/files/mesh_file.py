@@ -91,7 +91,7 @@ def load_mesh(
     ending = path.suffix.lower()
     if ending not in (*ENDINGS, *cad_file.ENDINGS):
         valid = ", ".join((*ENDINGS, *cad_file.ENDINGS))
-        raise MeshError(f"{path}: not a kind of mesh file that can be read; valid are {valid}")
+        raise MeshError(f"{path}: not a supported kind of mesh file; valid are {valid}")
     if not path.is_file():
         raise MeshError(f"{path}: the mesh file {why_no_file(path)}")
     if node is not None and ending not in NODE_ENDINGS:
@@ -99,7 +99,7 @@ def load_mesh(
     notes = Notes()
     if ending in cad_file.ENDINGS:
         if units is not None:
-            raise MeshError(f"{path}: units = {units!r}: the file names its own; leave units out")
+            raise MeshError(f"{path}: units = {units!r}: the file names its own; omit units")
         pieces = _read_cad(path, ending, alpha, node, tolerance_mm, notes)
     else:
         pieces = _read(path, ending, units, alpha, node, notes)
@@ -116,11 +116,11 @@ def load_mesh(
             corners = piece.mesh.vertices[piece.mesh.faces]
             bad = int((~np.isfinite(corners)).any(axis=(1, 2)).sum())
             if bad:
-                raise MeshError(f"{path}: {bad} of {facets} facets have a corner that is no finite number")
+                raise MeshError(f"{path}: {bad} of {facets} facets have a corner that is not finite")
             if np.abs(corners).max(initial=0.0) > FARTHEST_MM:
                 raise MeshError(f"{path}: has a corner farther than {FARTHEST_MM:g} mm from the origin of its frame")
         if piece.uv is not None and not np.isfinite(piece.uv).all():
-            raise MeshError(f"{path}: has a place in its picture that is no finite number")
+            raise MeshError(f"{path}: has a texture coordinate that is not finite")
     warn_caller(LensFileWarning(f"{path}: {text}") for text in notes.texts)
     return pieces
 
@@ -220,7 +220,7 @@ def _placed_nodes(
     parts = {node.number: primitives_of(path, document, node) for node in taken}
     for node in taken:
         for what in not_read(path, document, node):
-            notes.add(f"{node.place}: {what}, without facets that can be read; left out")
+            notes.add(f"{node.place}: {what} and has no facets; left out")
         if key is None:
             # For a node named in a scene, this was reported when the scene was read.
             for words in left_out(document, node, parts[node.number]):
@@ -240,7 +240,7 @@ def _agreed(path: Path, own: str | None, units: str | None) -> str:
             raise MeshError(f"{path}: the format carries no unit; give units, one of {valid}")
         return units
     if units not in (None, own):
-        raise MeshError(f"{path}: units = {units!r} contradicts the file, which is in {own}; leave units out")
+        raise MeshError(f"{path}: units = {units!r} contradicts the file, which is in {own}; omit units")
     return own
 
 
@@ -272,11 +272,11 @@ def _document(path: Path, _: tuple[object, ...]) -> dict[str, Any]:
             if content[:4] == b"glTF" and version != GLB_VERSION:
                 raise MeshError(f"{path}: is GLB of version {version}; valid is {GLB_VERSION}: export it as glTF 2.0")
             if content[:4] != b"glTF" or content[16:20] != b"JSON":
-                raise ValueError("its header is not that of a GLB file")
+                raise ValueError("it has no GLB header")
             content = content[20 : 20 + int.from_bytes(content[12:16], "little")]
         document = json.loads(content)
         if not isinstance(document, dict):
-            raise ValueError("its JSON is no object")
+            raise ValueError("its JSON is not an object")
     except (ValueError, RecursionError) as error:
         reason = _shortened(f"{type(error).__name__}: {error}".splitlines()[0])
         raise MeshError(f"{path}: broken, or not a {ending[1:].upper()} file ({reason})") from None
@@ -307,7 +307,7 @@ def _check_companions(path: Path, document: dict[str, Any]) -> None:
             name = names_of(uri)[0]
             check_companion(path, name, kind)
             if companion_name(path, names_of(uri), kind) is None and kind == "buffer":
-                raise MeshError(f"{path}: its {kind} {name} is not there; put it beside the mesh")
+                raise MeshError(f"{path}: its {kind} {name} is missing; put it beside the mesh")
 
 
 def _check_gltf(path: Path, document: dict[str, Any]) -> None:

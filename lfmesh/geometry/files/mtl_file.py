@@ -123,7 +123,7 @@ def _take(material: MtlMaterial, key: str, value: str, folder: str, notes: Notes
 
 def _take_colour(material: MtlMaterial, value: str, called: str, notes: Notes) -> None:
     if value.split(" ")[0] in ("spectral", "xyz"):
-        notes.add(f"{called}: Kd {value[:40]} is left out: its facets have the reflectance that the scene gives")
+        notes.add(f"{called}: Kd {value[:40]} is left out: its facets have the scene's reflectance")
         return
     given = _finite(value, called, "Kd")
     # "If only r is specified, then g and b are assumed to be equal to r."

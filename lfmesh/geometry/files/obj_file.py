@@ -36,7 +36,7 @@ _CODES = {
 LEFT_OUT = {"l": "lines", "p": "points", "curv": "free-form curves", "surf": "free-form surfaces"}
 """Names of ignored elements, by line key."""
 
-NO_PLACE = "{} facets have no place in their picture: they have their plain colour"
+NO_PLACE = "{} facets have no texture coordinates: they have their plain colour"
 
 _NONE = -(2**62)
 """Index of a missing texture coordinate or normal."""
@@ -77,8 +77,8 @@ def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
         if len(facets.counts):
             material = materials.called(name, notes)
             made += _pieces(obj, facets, material, pictures, colours)
-    notes.count(wrong["vt"], "{} facets name texture coordinates that are not there: they have none")
-    notes.count(wrong["vn"], "{} facets name normals that are not there: they have none")
+    notes.count(wrong["vt"], "{} facets name missing texture coordinates: they have none")
+    notes.count(wrong["vn"], "{} facets name missing normals: they have none")
     return made
 
 
@@ -141,9 +141,7 @@ class _Materials:
                 if name is None:
                     made.missing = True
                     shown = without_comment(names[0])[:100]
-                    notes.add(
-                        f"its material file {shown} is not there: its facets have the material that the scene gives"
-                    )
+                    notes.add(f"its material file {shown} is missing: its facets have the scene's material")
                     continue
                 made.libraries.append(name)
                 content = read_text(path.parent / name, errors="replace")
@@ -169,7 +167,7 @@ class _Materials:
         if len(alike) == 1:
             return alike[0]
         if not self.missing:
-            notes.add(f"its material {bare[:60]} is not defined: its facets have the material that the scene gives")
+            notes.add(f"its material {bare[:60]} is not defined: its facets have the scene's material")
         return None
 
 
@@ -230,7 +228,7 @@ class _Obj:
         given = vertices[:, 3:6]
         known = np.asarray(~np.isnan(given).any(axis=1))
         if not known.any() or (given[known] < 0.0).any() or (given[known] > 1.0).any():
-            notes.add("its vertex colours are left out: they are no numbers from 0 to 1")
+            notes.add("its vertex colours are left out: they are not numbers from 0 to 1")
             return None
         return np.where(known[:, None], given, 1.0)
 
@@ -281,7 +279,7 @@ def _corners(text: str, count: int) -> Index:
     given = 1 + np.add.reduceat((slashes == ord("/")).astype(np.int64), starts)
     values = numbers(text.replace("/", " "), np.int64)
     if len(starts) != count or given.max() > 3 or len(values) != given.sum():
-        raise ValueError("a corner of a facet is none of the kinds 1, 1/1, 1//1 and 1/1/1")
+        raise ValueError("a corner of a facet has none of the forms 1, 1/1, 1//1 and 1/1/1")
     made[np.arange(3) < given[:, None]] = values
     return made
 

@@ -115,7 +115,7 @@ def check_corners(corners: Index, count: int) -> None:
     """
     if len(corners) and not 0 <= corners.min() <= corners.max() < count:
         wrong = corners.min() if corners.min() < 0 else corners.max()
-        raise ValueError(f"a facet names vertex {wrong}, and there are {count}, counted from 0")
+        raise ValueError(f"a facet names vertex {wrong}, but there are {count}, counted from 0")
 
 
 def _colours(given: Array, what: str, notes: Notes) -> Array | None:
@@ -125,7 +125,7 @@ def _colours(given: Array, what: str, notes: Notes) -> Array | None:
     if (values > 1.0).any() and (values == np.round(values)).all():
         values = np.where(known[:, None], values / 255.0, 1.0)
     if not known.any() or (values < 0.0).any() or (values > 1.0).any():
-        notes.add(f"its {what} colours are left out: they are no numbers from 0 to 1, nor from 0 to 255")
+        notes.add(f"its {what} colours are left out: they are not numbers from 0 to 1 or from 0 to 255")
         return None
     return values
 
@@ -133,7 +133,7 @@ def _colours(given: Array, what: str, notes: Notes) -> Array | None:
 def _colours_of_facets(flat: Array, starts: Index, counts: Index, given: Index, notes: Notes) -> Array | None:
     """Return the colours that follow the corners of facets, (p, 3); white for facets without one."""
     behind = given - counts - 1
-    notes.count(int((behind == 1).sum()), "the colours of {} facets are left out: they are numbers of an own table")
+    notes.count(int((behind == 1).sum()), "the colours of {} facets are left out: they are indices of a table")
     those = np.flatnonzero(behind >= 3)
     if not len(those):
         return None

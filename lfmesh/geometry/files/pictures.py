@@ -56,7 +56,7 @@ class Pictures:
         """
         name = companion_name(self.path, names, "picture")
         if name is None:
-            self.notes.add(f"its picture {names[0][:100]} is not there: its facets have their plain colour")
+            self.notes.add(f"its picture {names[0][:100]} is missing: its facets have their plain colour")
             return None
         if name not in self._known:
             self._known[name] = self._read(read_bytes(self.path.parent / name), name)
@@ -89,7 +89,7 @@ class Pictures:
         except FileError as error:
             raise ValueError(f"{its} {str(error).partition(': ')[2]}") from None
         except PIL.UnidentifiedImageError:
-            raise ValueError(f"{its} is of no kind that is read; valid are {', '.join(FORMATS)}") from None
+            raise ValueError(f"{its} is of an unsupported kind; valid are {', '.join(FORMATS)}") from None
         except Exception as error:  # a damaged file may raise anything inside Pillow's readers
             reason = f"{error}".splitlines()[0] if str(error) else type(error).__name__
             raise ValueError(f"{its} is broken ({reason[:100]})") from None

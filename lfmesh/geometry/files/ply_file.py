@@ -102,7 +102,7 @@ def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
         rows[element.name], body.at = body.rows(element)
     if order == "" and body.at != len(body.raw):
         # Some programs write rows longer than the header says; line breaks then separate the rows.
-        notes.add("its rows have more numbers than its header names: the last ones of each are left out")
+        notes.add("its rows have more numbers than its header names: the excess is left out")
         body = _Body(numbers(_cut_to_header(content[end.end() :], elements)).view(np.uint8), "", 0)
         for element in elements:
             rows[element.name], body.at = body.rows(element)
@@ -116,7 +116,7 @@ def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
     if pictures:
         notes.count(len(pictures) - 1, "{} of its pictures are left out")
         if made.uv is None:
-            notes.add("its facets have no place in its picture: they have their plain colour")
+            notes.add("its facets have no texture coordinates: they have their plain colour")
         else:
             light = Pictures(path, alpha, notes).of_file([pictures[0].replace("\\", "/")])
             made = replace(made, picture=light)
@@ -158,7 +158,7 @@ def _header(text: str) -> tuple[str, list[Element], list[str]]:
         elif words[0] == "property" and elements and len(words) > 2 and all(each in KINDS for each in _kinds(words)):
             elements[-1].properties[words[-1]] = tuple(KINDS[each] for each in _kinds(words))
         else:
-            raise ValueError(f"{line[:60]!r} stands in its header")
+            raise ValueError(f"its header has the unknown line {line[:60]!r}")
     if order is None:
         raise ValueError("its header names no format")
     return order, elements, pictures
@@ -342,7 +342,7 @@ def _piece(
             if (counts == 2 * lists[key][1]).all():
                 uv = given.reshape(-1, 2)[triangles]
             else:
-                notes.add("the places in its picture are left out: they are not two numbers for each corner of a facet")
+                notes.add("its texture coordinates are left out: they are not two numbers for each corner of a facet")
         if colours is None:
             of_facets = _colours(rows["face"].plain, elements["face"], alpha, "facet", notes)
             colours = np.repeat(of_facets[polygon][:, None], 3, axis=1) if of_facets is not None else None
@@ -385,6 +385,6 @@ def _colours(plain: dict[str, Array], element: Element, alpha: bool, what: str, 
         columns.append(plain[name].astype(np.float64) / most)
     made = np.column_stack(columns)
     if not ((made >= 0.0) & (made <= 1.0)).all():
-        notes.add(f"its {what} colours are left out: they are no numbers from 0 to 1")
+        notes.add(f"its {what} colours are left out: they are not numbers from 0 to 1")
         return None
     return made

@@ -39,7 +39,7 @@ class Cut(NamedTuple):
     @property
     def in_words(self) -> str:
         """Message about the missing triangles, with `{}` in place of their number."""
-        return "its polygons have {} triangles fewer than their corners ask for: some touch or cross themselves"
+        return "its polygons give {} triangles fewer than their corners require: some touch or cross themselves"
 
 
 def cut(points: Array, corners: Index, counts: Index) -> Cut:
@@ -122,7 +122,7 @@ def _ears(polygon: Array) -> NDArray[np.int64]:
     if not np.isfinite(polygon).all():
         return fan
     if count > MOST_CORNERS:
-        raise ValueError(f"a polygon that is not convex has {count:,} corners; {MOST_CORNERS:,} are the most")
+        raise ValueError(f"a polygon that is not convex has {count:,} corners; the limit is {MOST_CORNERS:,}")
     with np.errstate(over="ignore", invalid="ignore"):
         normal = _newell(polygon[None])[0]
     if not (np.isfinite(normal).all() and normal.any()):

@@ -49,7 +49,7 @@ def _binary(path: Path, content: bytes, notes: Notes) -> Array | None:
     if not whole and len(content) < HEADER + RECORD * count:
         held = (len(content) - HEADER) // RECORD
         raise MeshError(
-            f"{path}: broken, or cut short: its header counts {count} facets, and there is room for {held} in the file"
+            f"{path}: broken, or cut short: its header counts {count} facets, but the file has room for {held}"
         )
     facets = np.frombuffer(content, FACET, count, HEADER)
     if b"COLOR=" in content[:80] and facets["attribute"].any():
@@ -78,7 +78,7 @@ def _text(content: bytes) -> Array | None:
     except ValueError:
         values = numbers(b"\n".join([b" ".join(part.split(None, 3)[:3]) for part in parts[1:]]))
     if len(values) != 9 * facets:
-        raise ValueError("a corner has fewer or more than three numbers")
+        raise ValueError("a corner does not have three numbers")
     return values.reshape(-1, 3, 3)
 
 

@@ -25,7 +25,7 @@ def numbers(text: str | bytes, kind: type = np.float64) -> Array:
         except (DeprecationWarning, ValueError):
             pass
     wrong = next((word for word in text.split() if not _is_number(word, kind)), "?")
-    raise ValueError(f"{wrong[:40]!r} stands where a number belongs")
+    raise ValueError(f"{wrong[:40]!r} is not a number")
 
 
 def _is_number(word: str, kind: type) -> bool:

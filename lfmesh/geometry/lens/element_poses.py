@@ -79,7 +79,7 @@ def _refusal(lens: Lens, number: int, found: float, possible: float) -> str:
     if found == 0.0:
         return (
             f"{named}: surfaces {number} and {number + 1} touch inside their clear apertures and may cross, by up to "
-            f"{possible:.4g} mm; give a distance between them that is larger by this"
+            f"{possible:.4g} mm; increase the distance between them by this"
         )
     return (
         f"{named}: surfaces {number} and {number + 1} cross inside their clear apertures, by {found:.4g} mm; give "

@@ -128,6 +128,6 @@ def _stacked(tiles: list[Texture]) -> tuple[Texture, list[Index]]:
 
 def _too_large(name: str, size: tuple[int, int]) -> MeshError:
     return MeshError(
-        f"{name}: its pictures, repeated as the mesh asks, need {size[1]} x {size[0]} texels; "
-        f"valid are {MAX_TEXELS:,} in all"
+        f"{name}: its pictures, repeated as the mesh requires, need {size[1]} x {size[0]} texels; "
+        f"the limit is {MAX_TEXELS:,} in all"
     )

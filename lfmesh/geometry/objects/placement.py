@@ -34,7 +34,7 @@ MOST_SEEN = 4.0
 """Ratio of a body's size to the width of the field from which its unit is suspected."""
 
 
-HIDES = "is closed round the camera: its inside is black, and hides everything else"
+HIDES = "encloses the camera: its inside is black, and hides everything else"
 """Warning about an opaque body."""
 
 
@@ -177,12 +177,12 @@ def _warnings(
     eye = frame.points(to_world, np.zeros((1, 3)))[0]
     if low[2] >= 0.0:
         if low[2] > _sensor_z_mm(scene):
-            yield f"stands behind the sensor, from z = {low[2]:.5g} mm of the camera on; the camera looks along -z"
+            yield f"stands behind the sensor, from z = {low[2]:.5g} mm on; the camera looks along -z"
         elif not told:
             yield "stands behind the first vertex of the lens, where the camera does not look"
         return
     if is_round(body, eye):
-        yield HIDES if target.refractor is None else "is closed round the camera, which stands in its glass"
+        yield HIDES if target.refractor is None else "encloses the camera, which stands in its glass"
         return
     if share == 0.0:
         if not told:
@@ -192,12 +192,12 @@ def _warnings(
         return
     if lit_by is None:
         if target.material.sides == "front" and not body.closed:
-            yield 'shows the camera its black side: sides = "front", and its front faces away; turn it round'
+            yield 'shows the camera its black side: sides = "front", but its front faces away; turn it around'
     elif _shines(target):
         return
     elif _is_black(target, body):
         zero = "texture" if target.material.reflectance else "reflectance"
-        yield f"reflects nothing and does not shine: its {zero} is 0"
+        yield f"reflects and emits nothing: its {zero} is 0"
     elif not lit_by and scene.lights and not any(_shines(other) for other in scene.targets):
         yield "is lit by no lamp on the side that the camera sees: only light from other bodies can reach it"
 
@@ -210,7 +210,7 @@ def _size(target: Target, facts: FirstOrder, size_mm: float, z_mm: float) -> Ite
     half = half_field_mm(z_mm, facts)
     unit = target.units if target.refractor is None else target.refractor.units
     fixed = UNIT_OF_FORMAT.get(Path(file).suffix.lower())
-    of_file = f"by the unit of its format, {fixed}," if fixed else "by the unit that its file names,"
+    of_file = f"by the unit of its format, {fixed}," if fixed else "by the unit of its file,"
     what = f"with units = {unit!r}," if unit else of_file
     remedy = "check the unit"
     if target.scale is not None:
@@ -218,10 +218,10 @@ def _size(target: Target, facts: FirstOrder, size_mm: float, z_mm: float) -> Ite
     elif not unit:
         remedy = "if its numbers are in mm, give the target scale = 0.001" if size_mm > LARGE_MM else "give it a scale"
     if size_mm > LARGE_MM and size_mm > 2.0 * MOST_SEEN * max(half):
-        yield (f"is {1e-3 * size_mm:.4g} m large {what} and the camera sees {2e-3 * max(half):.3g} m there; {remedy}")
+        yield (f"is {1e-3 * size_mm:.4g} m wide {what} but the camera sees {2e-3 * max(half):.3g} m there; {remedy}")
     sample = facts.object_sampling_mm * abs(z_mm / facts.object_distance_mm) if facts.object_distance_mm else 0.0
     if 0.0 < size_mm < sample < math.inf:
-        yield f"is {size_mm:.3g} mm large {what} less than a sample of the picture there; {remedy}"
+        yield f"is {size_mm:.3g} mm wide {what} less than a sample of the picture there; {remedy}"
 
 
 def _sensor_z_mm(scene: Scene) -> float:

@@ -154,7 +154,7 @@ def _bounding_mesh(
     path: Path, stamp: tuple[object, ...], units: str | None, node: str | int | None, tolerance_mm: float | None
 ) -> Mesh:  # fmt: skip
     pieces = load_mesh(path, units, node=node, tolerance_mm=tolerance_mm)
-    return _closed(path, joined(piece.mesh for piece in pieces), False, "what bounds a medium")
+    return _closed(path, joined(piece.mesh for piece in pieces), False, "the boundary of a medium")
 
 
 def _closed(path: Path, mesh: Mesh, keeps_normals: bool, what_it_is: str) -> Mesh:
@@ -178,7 +178,7 @@ def _closed(path: Path, mesh: Mesh, keeps_normals: bool, what_it_is: str) -> Mes
     mesh = Mesh(mesh.vertices, mesh.faces[with_area], given)
     body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     if not body.is_watertight or not body.is_winding_consistent:
-        raise MeshError(f"{path}: {what_it_is} must be a closed body; {_fault_of(mesh)}; mend it and export again")
+        raise MeshError(f"{path}: {what_it_is} must be a closed body; {_fault_of(mesh)}; repair it and export it again")
     corners = mesh.vertices[np.unique(mesh.faces)]
     if np.linalg.matrix_rank(corners - corners.mean(axis=0)) < 3:
         raise MeshError(f"{path}: {what_it_is} must be a closed body; its facets all lie in one plane")
@@ -189,11 +189,11 @@ def _fault_of(mesh: Mesh) -> str:
     """Return the reason why a mesh is not closed or not consistently oriented."""
     doubled = len(mesh.faces) - len(np.unique(np.sort(mesh.faces, axis=1), axis=0))
     if doubled:
-        return f"{doubled} of its {len(mesh.faces)} facets are doubled: another one has the same corners"
+        return f"{doubled} of its {len(mesh.faces)} facets are duplicates: another one has the same corners"
     edges = np.sort(np.concatenate([mesh.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])]), axis=1)
     joins = np.unique(edges, axis=0, return_counts=True)[1]
     if (joins == 1).any():
-        return f"{(joins == 1).sum()} of its edges join no second facet"
+        return f"{(joins == 1).sum()} of its edges belong to only one facet"
     if (joins > 2).any():
         return f"{(joins > 2).sum()} of its edges join more than two facets"
     return "its facets do not all face one way"
@@ -211,17 +211,17 @@ def _normals_of_file(path: Path, mesh: Mesh) -> Array | None:
     too_far = _too_far_off(mesh, normals, own)
     for bad, what in (
         (no_direction, "have no direction"),
-        (behind, "look to the wrong side of their facet"),
+        (behind, "point to the wrong side of their facet"),
         (
             too_far,
-            f"are further off their facet than a smooth surface's (at most {STEEPEST_DEG:g}°, and {TURN_FACTOR:g} "
-            f"times its angle to the facets round that corner, plus {SLACK_DEG:g}°)",
+            f"deviate more from their facet than on a smooth surface (at most {STEEPEST_DEG:g}°, and {TURN_FACTOR:g} "
+            f"times its angle to the facets around that corner, plus {SLACK_DEG:g}°)",
         ),
     ):
         if bad.any():
             raise MeshError(
-                f"{path}: {bad.sum()} of its {bad.size} corner normals {what}; export it with right normals or without "
-                "any, or give crease_deg to have them estimated"
+                f"{path}: {bad.sum()} of its {bad.size} corner normals {what}; export it with correct normals or "
+                "without any, or give crease_deg to have them estimated"
             )
     tells_more = np.linalg.norm(normals - own, axis=2).max() > FLAT_SHADED
     return _without_seams(mesh.faces, np.asarray(normals)) if tells_more else None
@@ -363,7 +363,7 @@ def _fitted(path: Path, side: Mesh, why: str) -> Face:
         return Face(side, rim, Form(flat, {"radius_mm": np.inf}, words=why))
     near = r2 <= rim * rim * (1 + 1e-9)
     if near.sum() < FIT_TERMS + 2:
-        raise MeshError(f"{path}: the face on its axis has only {near.sum()} vertices; mesh it finer")
+        raise MeshError(f"{path}: the face on its axis has only {near.sum()} vertices; mesh it more finely")
     scale = rim * rim
     u = r2[near] / scale
     basis = np.stack([u**k for k in range(FIT_TERMS + 1)], axis=1)

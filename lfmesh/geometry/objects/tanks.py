@@ -60,6 +60,6 @@ def tank_lines(scene: Scene, object_index: float) -> list[str]:
         state = f"open at the {tank.open}" if tank.open is not None else "closed"
         lines.append(
             f"{tank.called(i):<23}{size} mm, {state}, walls of {tank.wall_mm:g} mm (n = {n_wall:.6g}), liquid n = "
-            f"{n_liquid:.6g}; its middle, {depth:g} mm behind its front, is seen {seen:.6g} mm behind it"
+            f"{n_liquid:.6g}; its middle, {depth:g} mm behind its front, appears {seen:.6g} mm behind it"
         )
     return lines

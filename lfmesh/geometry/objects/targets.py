@@ -176,7 +176,7 @@ def _parted(texture: Texture | None) -> tuple[Texture | None, Texture | None]:
 def _refuse_opaque(target: Target, name: str) -> NoReturn:
     """Refuse a target that takes its opacity from a picture without alpha."""
     which = target.material.texture or name
-    raise MeshError(f'{which}: is opaque all over, and opacity = "texture_alpha" asks for its alpha; omit it')
+    raise MeshError(f'{which}: is opaque everywhere, but opacity = "texture_alpha" needs its alpha; omit it')
 
 
 def target_mesh(target: Target, scene: Scene) -> TargetMesh:
@@ -212,7 +212,7 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
         pieces = load_mesh(scene.resolve(name), target.units, asks_alpha or may_take, target.node, target.tolerance_mm)
         taken = may_take and any(piece.material is not None for piece in pieces)
         if target.materials == "file" and not taken:
-            raise MeshError(f'{name}: brings no materials of glTF, and materials = "file" asks for them; omit it')
+            raise MeshError(f'{name}: has no glTF materials, but materials = "file" needs them; omit it')
         if taken:
             pieces = [without_even_gloss(piece) for piece in _with_alpha_by_mode(pieces)]
         elif may_take:
@@ -381,8 +381,8 @@ def _covered(piece: Piece, picture: Texture, name: str) -> Piece:
     """Return the piece with its colours replaced by the material's picture."""
     if piece.uv is None:
         raise MeshError(
-            f"{name}: the mesh has no texture coordinates, so its material's texture has no place on it; "
-            "leave the texture out or export the mesh with UVs (OBJ, PLY, GLB)"
+            f"{name}: the mesh has no texture coordinates, so its material's texture cannot be placed on it; "
+            "omit the texture, or export the mesh with UVs (OBJ, PLY, GLB)"
         )
     return Piece(piece.mesh, piece.uv, picture=picture, factor=np.ones(picture.shape[2]))
 

@@ -91,7 +91,7 @@ def opened(path: Path | BytesIO) -> Iterator[PIL.Image.Image]:
         with picture:
             width, height = picture.size
             if width * height > MOST_PIXELS:
-                raise FileError(f"{path}: has {width} × {height} pixels; give a picture of {MOST_PIXELS} at most")
+                raise FileError(f"{path}: has {width} × {height} pixels; give a picture of at most {MOST_PIXELS}")
             yield picture
 
 

@@ -135,8 +135,8 @@ def told_form(points: Array, told: list[Told]) -> tuple[Form | None, str]:
             nearest = min(nearest, residual)
     if np.isfinite(nearest):
         off = plain(nearest, 2)
-        return None, f"the nearest conic with even terms is {off} mm off its curve; {EXACT_MM:g} is the limit"
-    return None, "the file tells no surface about the z axis that all its vertices lie on"
+        return None, f"the nearest conic with even terms is {off} mm off its curve; the limit is {EXACT_MM:g} mm"
+    return None, "no surface of the file around the z axis contains all its vertices"
 
 
 def _forms(told: Told, points: Array) -> Iterator[tuple[Form, float]]:
@@ -317,10 +317,10 @@ def fitted_form(points: Array) -> tuple[Form | None, str]:
     x, y = points[:, 0] / size, points[:, 1] / size
     terms = np.stack([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)], axis=1)
     if len(points) < VERTICES_A_TERM * terms.shape[1]:
-        return None, f"too few vertices to tell a sphere: {len(points)}; {VERTICES_A_TERM * terms.shape[1]} are needed"
+        return None, f"too few vertices for a sphere: {len(points)}; {VERTICES_A_TERM * terms.shape[1]} are needed"
     singular = np.linalg.svd(terms / np.linalg.norm(terms, axis=0), compute_uv=False)
     if singular[-1] < INDEPENDENT * singular[0]:
-        return None, "its vertices stand in too few places to tell a sphere"
+        return None, "its vertices lie at too few places for a sphere"
     # Imported only if a sphere is fitted, since it takes long.
     from scipy.spatial import cKDTree
 
@@ -334,7 +334,7 @@ def fitted_form(points: Array) -> tuple[Form | None, str]:
     if not (worst <= FITTED_MM and form <= FORM_MM):
         return None, (
             f"its vertices are up to {plain(worst, 2)} mm off the nearest sphere about the z axis, {plain(form, 2)} mm "
-            f"of it smooth; {FITTED_MM:g} and {FORM_MM:g} are the limits"
+            f"of it smooth; the limits are {FITTED_MM:g} and {FORM_MM:g} mm"
         )
     signed = _signed(radius, centre - points[:, 2].mean())
     words = f"a sphere fitted to its vertices, radius {signed:.9g} mm; they lie within {plain(worst, 2)} mm of it"

@@ -174,7 +174,7 @@ def _phase_shift(light: Array, centres: Array, pitch: float, hexagonal: bool) ->
         if abs(amplitude) <= 0.5 * CONTRAST * light.sum():
             raise LfmeshError(
                 "the white image shows no micro-images: "
-                + ("it is black" if not light.any() else "they touch without dark between them; stop the lens down")
+                + ("it is black" if not light.any() else "they touch without dark gaps; stop the lens down")
             )
         phases.append(-np.angle(amplitude) / (2.0 * np.pi))
     return np.asarray(np.linalg.solve(waves, phases))

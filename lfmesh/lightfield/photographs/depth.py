@@ -118,7 +118,7 @@ class DepthMap(Pictured):
                 f"No target surface that the camera sees lies in the range searched, {reach}: there is no true depth "
                 f"to compare with{none}."
             )
-        untold = f" Without true depth: {names}; where they show, the truth is that of the targets behind."
+        untold = f" Without true depth: {names}; where they appear, the truth is the depth of the targets behind."
         middle, most = np.percentile(error, [50.0, 90.0])
         return (
             f"Depth is off by {middle:.2%} in the median and by less than {most:.2%} in nine of ten of the "
@@ -192,7 +192,7 @@ def _even_views(field: LightField) -> tuple[Samples, NDArray[np.bool_]]:
     """Return the samples with equal brightness in all views, and a mask (v, u) of views that the pupil fills."""
     rows, columns = field.views
     if min(rows, columns) < LEAST_VIEWS:
-        raise LfmeshError(f"{columns} × {rows} views: depth needs {LEAST_VIEWS} views along each axis at least")
+        raise LfmeshError(f"{columns} × {rows} views: depth needs at least {LEAST_VIEWS} views along each axis")
     off_axis = np.hypot(field.v_rad[:, None], field.u_rad[None, :])
     step = field.model.slope_step
     usable = off_axis + BORDER * step <= field.model.pupil_slope
@@ -203,8 +203,8 @@ def _even_views(field: LightField) -> tuple[Samples, NDArray[np.bool_]]:
     usable &= brightness > 0.0
     if min(usable.any(axis=1).sum(), usable.any(axis=0).sum()) < LEAST_VIEWS:
         raise LfmeshError(
-            f"only {usable.sum()} of {columns} × {rows} views are lit all over: depth needs {LEAST_VIEWS} along each "
-            "axis at least"
+            f"only {usable.sum()} of {columns} × {rows} views are fully lit: depth needs at least {LEAST_VIEWS} along "
+            "each axis"
         )
     level = brightness[usable].mean() / np.where(usable, brightness, 1.0)
     return (field.data * level[:, :, None, None, None]).astype(np.float32), usable

@@ -88,7 +88,7 @@ def focal_stack(
         As from `refocus`, or no plane is given.
     """
     if not len(distances_mm):
-        raise LfmeshError("distances_mm is empty: a focal stack needs a plane at least")
+        raise LfmeshError("distances_mm is empty: a focal stack needs at least one plane")
     return FocalStack(_photographs(field, distances_mm, f_number, method))
 
 
@@ -142,8 +142,8 @@ def _aperture(field: LightField, f_number: float | None) -> Array:
     narrowest = 0.5 / (index * LEAST_VIEWS_WIDE * step)
     if not widest * (1.0 - ROUNDING) <= f_number <= narrowest:
         raise LfmeshError(
-            f"f_number = {f_number:g}: must be from {widest:.6g}, what the lens recorded, to {narrowest:.6g}, an "
-            "aperture two views wide"
+            f"f_number = {f_number:g}: must be from {widest:.6g}, the aperture that the lens recorded, to "
+            f"{narrowest:.6g}, an aperture two views wide"
         )
     off_axis = np.hypot(field.v_rad[:, None], field.u_rad[None, :])
     # Views within half a view of the rim count by their part inside.

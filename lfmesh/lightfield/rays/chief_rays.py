@@ -144,12 +144,12 @@ def refuse_undecodable(mla: MicrolensArray) -> None:
     if mla.cylinder_axis is not None:
         raise LfmeshError(
             f'camera.mla.cylinder_axis = "{mla.cylinder_axis}": cylindrical lenslets make lines, not micro-images, and '
-            "are not decoded or calibrated; render, check, draw and view take them, and lf.white_image"
+            "are not decoded or calibrated; render, check, draw, view and lf.white_image accept them"
         )
     if mla.has_back:
         raise LfmeshError(
-            "camera.mla.back: arrays with lenslets on both faces are not decoded or calibrated, as chief rays are "
-            "known through a flat face only; render, check, draw and view take them, and lf.white_image"
+            "camera.mla.back: arrays with lenslets on both faces are not decoded or calibrated, because chief rays are "
+            "known through a flat face only; render, check, draw, view and lf.white_image accept them"
         )
 
 
@@ -235,8 +235,8 @@ class _Fan:
         through = np.isfinite(hit[:, 0])
         if through.sum() < 2 * len(self._terms(np.zeros((1, 2)))[0]):
             raise LfmeshError(
-                "camera: the lens lets hardly any ray from the middle of its stop through to the microlens array; "
-                "check apertures and distances with lfmesh check"
+                "camera: almost no ray from the middle of the stop reaches the microlens array; check apertures and "
+                "distances with lfmesh check"
             )
         self._coefficients, *_ = np.linalg.lstsq(self._terms(hit[through]), slopes[through], rcond=None)
 

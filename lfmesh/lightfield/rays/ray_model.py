@@ -131,12 +131,12 @@ class RayModel:
             raise LfmeshError("camera.mla is missing: a conventional camera records no light field")
         refuse_undecodable(mla)
         if not math.isfinite(facts.efl_mm):
-            raise LfmeshError("camera.lens is afocal: it has no focal length to tell distances by")
+            raise LfmeshError("camera.lens is afocal: it has no focal length to determine distances")
         array_z = (facts.lenslets_z_mm or 0.0) + mla.pose.shift_mm[2]
         pupil_to_array = array_z - _exit_pupil_z_mm(known)
         if abs(pupil_to_array) <= ROUNDING * abs(array_z):
             raise LfmeshError(
-                f"camera.mla.distance_mm = {mla.distance_mm:g}: the exit pupil lies on the array, so that no "
+                f"camera.mla.distance_mm = {mla.distance_mm:g}: the exit pupil lies on the array, so no "
                 "lenslet forms an image of it; move the array or the stop"
             )
         shift, slope = focus_shift(scene)

@@ -127,7 +127,7 @@ def traced_shift(rays: ViewRays, usable: NDArray[np.bool_]) -> TracedShift:
             per_vergence.append(sense * height0[:, axis])
     design = np.concatenate(terms)
     if len(design) < 8 * design.shape[1]:
-        raise LfmeshError("camera: the lens lets hardly any ray of the views through; check it with lfmesh check")
+        raise LfmeshError("camera: almost no ray of the views passes the lens; check it with lfmesh check")
     fit, *_ = np.linalg.lstsq(design, np.column_stack([np.concatenate(at_zero), np.concatenate(per_vergence)]))
     return TracedShift((float(fit[0, 0]), float(fit[0, 1])), (float(fit[1, 0]), float(fit[1, 1])))
 

@@ -125,8 +125,8 @@ def _refuse_strangers(image: Image, white: Image | None, scene: Scene, calibrati
     if calibration.known.shape != (rows, columns) or calibration.sensor_px != sensor:
         raise LfmeshError(
             f"the calibration is of {calibration.known.shape[1]} × {calibration.known.shape[0]} lenslets and "
-            f"{calibration.sensor_px[0]} × {calibration.sensor_px[1]} pixels, the camera has {columns} × {rows} and "
-            f"{sensor[0]} × {sensor[1]}"
+            f"{calibration.sensor_px[0]} × {calibration.sensor_px[1]} pixels, but the camera has {columns} × {rows} "
+            f"and {sensor[0]} × {sensor[1]}"
         )
     if white is not None:
         refuse_other_white(white, image, scene.camera)
@@ -166,7 +166,7 @@ def sampling_of(calibration: Calibration, upright: Upright) -> Sampling:
     if calibration.layout == "square":
         s_mm = _centred(columns, pitch)
         own = upright.columns(columns)
-        words = f"one sample a lenslet, {pitch:.6g} mm apart"
+        words = f"one sample per lenslet, {pitch:.6g} mm apart"
         return Sampling(t_mm, s_mm, of_array, np.stack([own, own]), np.zeros((2, columns)), words)
     step = calibration.row_pitch_mm
     count = max(1, int((columns - 0.5) / ROW_SPACING) + 1) if rows > 1 else max(1, int(columns / ROW_SPACING))
@@ -179,7 +179,7 @@ def sampling_of(calibration: Calibration, upright: Upright) -> Sampling:
         share[odd] = at - left[odd]
     words = (
         f"hexagonal lenslets {pitch:.6g} mm apart, resampled along their rows, linearly between neighbours, to a "
-        f"square grid of {step:.6g} mm, the distance of the rows"
+        f"square grid of {step:.6g} mm, the spacing of the rows"
     )
     return Sampling(t_mm, s_mm, of_array, left, share, words)
 

@@ -134,7 +134,7 @@ class LightField(Pictured):
             Neither or both of t and s, or an index outside the light field.
         """
         if (t is None) == (s is None):
-            raise LfmeshError(f"epi(t={t}, s={s}): give a row t or a column s, one of them")
+            raise LfmeshError(f"epi(t={t}, s={s}): give either a row t or a column s")
         rows, columns = self.views
         height, width = self.size
         if t is not None:

@@ -60,13 +60,13 @@ def focused(
         raise LfmeshError(f"reduction = {reductions}: give 1 to {MOST_TYPES} numbers above 1")
     assert camera.mla is not None
     if solved_camera(scene).report.focused:
-        raise LfmeshError("the camera is a focused plenoptic one already: give a standard one, see `lfmesh check`")
+        raise LfmeshError("the camera is already a focused plenoptic one: give a standard one, see `lfmesh check`")
     b = model.lenslet_to_sensor_mm
     toward = 1.0 if kind == "keplerian" else -1.0
     distance = (camera.mla.distance_mm or 0.0) + toward * sorted(reductions)[len(reductions) // 2] * b
     if not distance > 0.0:
         raise LfmeshError(
-            f"reduction = {reductions}: the array would stand {-distance:.4g} mm inside the lens; give a smaller one"
+            f"reduction = {reductions}: the array would lie {-distance:.4g} mm inside the lens; give a smaller one"
         )
     # Keys of a scene are focal lengths in air: R / (n − 1) for R / (n/n' − 1) here.
     plate, outside = refractive_index(camera.mla.medium, scene.primary_nm), camera.image_index(scene.primary_nm)
@@ -75,8 +75,8 @@ def focused(
     pixels = camera.mla.pitch_mm / camera.sensor.pixel_mm
     if sorted(reductions)[len(reductions) // 2] >= pixels:
         raise LfmeshError(
-            f"reduction = {reductions}: the middle one must be below {pixels:g}, the pixels a lenslet; lenslets that "
-            "reduce by more image the pupil as sharply, as those of a standard camera"
+            f"reduction = {reductions}: the middle one must be below {pixels:g}, the pixels per lenslet; with more, "
+            "the lenslets image the pupil as sharply as in a standard camera"
         )
     return solved(
         scene.changed(

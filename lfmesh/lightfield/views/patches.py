@@ -155,7 +155,7 @@ def patch_px(scene: Scene, distance_mm: float) -> float:
 def _for_distances(image: Image, distances_mm: Sequence[float], white: Image | None) -> tuple[_Focused, float]:
     """Return the camera and the finest patch pixel, on the array, over several distances."""
     if not len(distances_mm):
-        raise LfmeshError("distances_mm is empty: give a distance at least")
+        raise LfmeshError("distances_mm is empty: give at least one distance")
     camera = _focused(image, white)
     return camera, _sample_mm(camera, distances_mm)
 
@@ -222,8 +222,8 @@ def _rendered(camera: _Focused, distance_mm: float, step_mm: float) -> tuple[Arr
     patch = calibration.lenslet_pitch_mm / abs(shift) if shift else math.inf
     if patch > 2.0 * camera.radius_px:
         raise LfmeshError(
-            f"distance_mm = {distance_mm:g}: its patches would be {patch:.4g} pixels wide and the micro-images are "
-            f"{2.0 * camera.radius_px:.4g}, so that no lenslet sees what lies between; use lf.refocus near the plane "
+            f"distance_mm = {distance_mm:g}: its patches would be {patch:.4g} pixels wide, but the micro-images are "
+            f"{2.0 * camera.radius_px:.4g}, so no lenslet sees the gaps between them; use lf.refocus near the plane "
             "that is imaged onto the lenslets"
         )
     extent = np.ptp(camera.apexes.reshape(-1, 2), axis=0) + calibration.lenslet_pitch_mm

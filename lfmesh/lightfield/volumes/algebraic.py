@@ -132,7 +132,7 @@ def _nnls(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: 
         try:
             found, _residual_of = optimize.nnls(part.toarray(), b[lit], maxiter=max(rounds, 3 * part.shape[1]))
         except RuntimeError:
-            raise LfmeshError('method = "nnls" did not converge on this matrix; take "sart"') from None
+            raise LfmeshError('method = "nnls" did not converge on this matrix; use "sart"') from None
     else:
         columns = part.T.tocsr()
 

@@ -110,7 +110,7 @@ def not_seen(projector: Projector) -> str:
     names = ", ".join(
         f'"{name}"' for name in {number: name for name, number in projector.world.scene.bodies()}.values()
     )
-    other = f"; what lies in a body needs inside, one of {names}" if names else ""
+    other = f"; for the inside of a body give inside, one of {names}" if names else ""
     where = f" in {projector.inside}" if projector.inside is not None else " outside all bodies" if names else ""
     return (
         f"no ray from these pixels meets the grid{where}: the matrix would be empty; move the grid into the camera's "
@@ -133,8 +133,8 @@ def size_in_words(projector: Projector, pixels: Numbers) -> Size:
     size = ENTRY_BYTES * entries + 40.0 * len(pixels)
     return Size(
         entries, size,
-        f"{len(pixels):,} pixels × {projector.grid.voxels:,} voxels: about {entries:.3g} entries ({each:.4g} a pixel), "
-        f"{size / 1e9:.3g} GB",
+        f"{len(pixels):,} pixels × {projector.grid.voxels:,} voxels: about {entries:.3g} entries ({each:.4g} per "
+        f"pixel), {size / 1e9:.3g} GB",
     )  # fmt: skip
 
 

@@ -115,5 +115,5 @@ class ProjectionMatrix:
         """
         x = np.asarray(emission, dtype=np.float64)
         if x.shape not in (self.grid.shape, (self.grid.voxels,)):
-            raise LfmeshError(f"the emission has the shape {x.shape}, and the grid {self.grid.shape} voxels")
+            raise LfmeshError(f"the emission has the shape {x.shape}, but the grid {self.grid.shape} voxels")
         return np.asarray(self.matrix @ x.reshape(-1))

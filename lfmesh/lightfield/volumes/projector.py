@@ -108,8 +108,8 @@ class Projector:
         self._known: list[PictureWarning] = []
         if not absorption and (dimming := _dimming(scene)):
             clear = ClearAirWarning(
-                f"{', '.join(dimming)}: what media absorb and scatter is not in this projection matrix, whose voxels "
-                "are seen as through clear air; absorption = True puts it in"
+                f"{', '.join(dimming)}: this projection matrix ignores absorption and scattering by media, and sees "
+                "voxels as through clear air; absorption = True includes them"
             )
             self._known.append(clear)
             warn_caller([clear])
@@ -287,11 +287,11 @@ def _check(scene: Scene, channel: int, threshold: float) -> None:
     if not number or not 0.0 <= threshold < 1.0:
         raise LfmeshError(f"threshold = {literal(threshold)}: must lie from 0 to below 1")
     if scene.transport.polarisation:
-        raise LfmeshError("transport.polarisation: a projection matrix is one of unpolarised light; leave it out")
+        raise LfmeshError("transport.polarisation: a projection matrix is for unpolarised light; omit it")
     if scene.transport.diffraction != "none" and scene.camera.sensor.bands:
         raise LfmeshError(
-            "camera.sensor.bands: a matrix with transport.diffraction is of point spreads at single wavelengths; "
-            "leave bands out"
+            "camera.sensor.bands: a matrix with transport.diffraction has point spreads at single wavelengths; omit "
+            "bands"
         )
     if any(finish.is_rough for _, finish in scene.finishes()):
         raise LfmeshError("a rough finish scatters light: a projection matrix takes polished faces only")

@@ -123,7 +123,7 @@ def volume_quality(found: ArrayLike, true: ArrayLike) -> float:
     sizes = [float(np.linalg.norm(volume)) for volume in (one, other)]
     for name, size in zip(("the first", "the second"), sizes, strict=True):
         if not 0.0 < size < np.inf:
-            raise LfmeshError(f"{name} volume is {'dark all over' if size == 0.0 else 'not finite'}: it has no quality")
+            raise LfmeshError(f"{name} volume is {'dark' if size == 0.0 else 'not finite'}: it has no quality")
     return float(np.vdot(one / sizes[0], other / sizes[1]))
 
 
@@ -229,17 +229,17 @@ def _check(method: Any, iterations: Any, relaxation: Any, noise: Any, strength: 
     if not isinstance(method, str) or method not in (*ITERATIONS, *REGULARISED):
         raise LfmeshError(f"method = {literal(method)}: use one of {', '.join((*ITERATIONS, *REGULARISED))}")
     if iterations is not None and method in REGULARISED:
-        raise LfmeshError(f'iterations = {literal(iterations)}: method = "{method}" has none; leave it out')
+        raise LfmeshError(f'iterations = {literal(iterations)}: method = "{method}" has none; omit it')
     whole = isinstance(iterations, int | np.integer) and not isinstance(iterations, bool)
     if iterations is not None and (not whole or iterations < 1):
         raise LfmeshError(f"iterations = {literal(iterations)}: must be a whole number from 1")
     if relaxation is not None and method not in ("mart", "sart"):
-        raise LfmeshError(f'relaxation = {literal(relaxation)}: method = "{method}" has none; leave it out')
+        raise LfmeshError(f'relaxation = {literal(relaxation)}: method = "{method}" has none; omit it')
     if relaxation is not None and (not _is_number(relaxation) or not 0.0 < relaxation < MOST_RELAXED):
         raise LfmeshError(f"relaxation = {literal(relaxation)}: must lie between 0 and {MOST_RELAXED:g}")
     for name, value in (("noise", noise), ("strength", strength)):
         if value is not None and method not in REGULARISED:
-            raise LfmeshError(f'{name}: method = "{method}" has none; leave it out, or take "tikhonov" or "tv"')
+            raise LfmeshError(f'{name}: method = "{method}" has none; omit it, or use "tikhonov" or "tv"')
     if strength in (None, "half-sets", "discrepancy"):
         return
     if not _is_number(strength) or not 0.0 <= strength <= regularised.LARGEST:
@@ -305,9 +305,9 @@ class _Task:
             total = np.nan if why else total
         misfit = problem.misfit(x) / len(problem.b)
         size = max(float(np.linalg.norm(x)), np.finfo(np.float64).tiny)
-        unknown = f"; {why or 'without a grid it is not known what is not resolved'}"
-        rest = unknown if np.isnan(total) else f", {total / size:.2g} with what is not resolved"
-        self.say(f"strength {strength:.3g}: error of {np.linalg.norm(error) / size:.2g} of the volume by noise{rest}")
+        unknown = f"; {why or 'without a grid the unresolved part is unknown'}"
+        rest = unknown if np.isnan(total) else f", {total / size:.2g} with the unresolved part"
+        self.say(f"strength {strength:.3g}: error by noise {np.linalg.norm(error) / size:.2g} of the volume{rest}")
         whole = self._whole(x)
         return Reconstruction(
             whole.reshape(self.shape) * self.unit, self.seen.reshape(self.shape),
@@ -349,7 +349,7 @@ class _Task:
 
 def _unknown_error(why: str) -> tuple[UnknownErrorWarning, ...]:
     """Return the warning of an unknown error, if there is a reason."""
-    return (UnknownErrorWarning(f"the error of the volume cannot be told: {why}"),) if why else ()
+    return (UnknownErrorWarning(f"the error of the volume is unknown: {why}"),) if why else ()
 
 
 def _rows_of(matrix: Any) -> tuple["csr_array", tuple[int, ...]]:
@@ -381,14 +381,14 @@ def _pixels(name: str, image: ArrayLike, rows: int, matrix: Any, *, is_error: bo
         raise LfmeshError(f"{name} must be numbers: {error}") from None
     if b.size != rows or (b.ndim == 3 and b.shape[2] != 1) or b.ndim > 3:
         raise LfmeshError(
-            f"the {name} has the shape {b.shape} and the matrix {rows} rows, one a pixel: give {rows} values"
+            f"the {name} has the shape {b.shape}, but the matrix {rows} rows, one per pixel: give {rows} values"
         )
     if isinstance(matrix, ProjectionMatrix) and b.ndim > 1 and matrix.sensor_pixels is not None:
         fits = matrix.image_shape
         if b.shape[:2] != fits:
             valid = f"of the shape {fits}: give that, or" if fits else "that fill no rectangle: give"
             raise LfmeshError(
-                f"the {name} has the shape {b.shape} and the matrix {rows} pixels {valid} {rows} values in a row"
+                f"the {name} has the shape {b.shape}, but the matrix {rows} pixels {valid} {rows} values in a row"
             )
     if not is_error and not np.isfinite(b).all():
         raise LfmeshError("the image has values that are not finite")

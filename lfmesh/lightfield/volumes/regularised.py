@@ -347,7 +347,7 @@ def strength_by_discrepancy(problem: Problem, say: Say) -> tuple[float, Array]:
     if nearly is None:
         raise LfmeshError(
             f'strength = "discrepancy": no volume explains the image within its noise: {tried[-1][1]:.3g} of its '
-            'variance is left; give a larger noise, or strength = "half-sets"'
+            'variance remains; give a larger noise, or strength = "half-sets"'
         )
     low, before = nearly
     high = min(low * STEP, STRONGEST)

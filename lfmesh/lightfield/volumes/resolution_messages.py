@@ -27,8 +27,8 @@ def fine_voxels(matrix: ProjectionMatrix, seen: int) -> list[FineVoxelsWarning]:
     )
     return [
         FineVoxelsWarning(
-            f"voxels are finer than the camera resolves: of the features of {seen:,} voxels {matrix.effective_rank:,} "
-            f"stand out of noise of 1 %{axes}; finer details come from the method, not from the image: take coarser "
+            f"voxels are finer than the camera resolves: of {seen:,} voxels only {matrix.effective_rank:,} independent "
+            f"features exceed noise of 1 %{axes}; finer details come from the method, not from the image: use coarser "
             "voxels"
         )
     ]

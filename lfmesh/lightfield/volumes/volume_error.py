@@ -114,14 +114,14 @@ def why_unknown(problem: Problem, strength: float, x: Array, halved: Halved, *, 
     left = problem.misfit(x) / len(problem.b)
     if is_noise_known and left > LEFT * (1.0 + chance(len(problem.b))):
         return (
-            f"{left:.3g} of the noise's variance are left of the image: the strength of {strength:.3g} is too large, "
-            "the noise too small, or the image is not one of this matrix"
+            f"the residual of the image is {left:.3g} of the noise's variance: the strength of {strength:.3g} is too "
+            "large, the noise too small, or the image does not belong to this matrix"
         )
     if further.gain > SIGMAS * further.by_chance and own.gain < KEPT * further.gain:
-        return f"the strength of {strength:.3g} is too large for the image: a weaker one tells more of it"
+        return f"the strength of {strength:.3g} is too large for the image: a smaller one uses more of it"
     if not own.gain > SIGMAS * own.by_chance:
         return (
-            "the image does not determine the volume: half of the pixels tell no more of the other half than "
+            "the image does not determine the volume: half of the pixels predict the other half no better than "
             f"{'an even volume' if len(x) > 1 else 'the dark'} does"
         )
     return ""
@@ -176,7 +176,7 @@ class Trials(NamedTuple):
         times = error / self.size
         if times <= 1.0:
             return ""
-        return f"an empty volume is to be expected to be nearer to the truth, by a factor of {times:.3g}"
+        return f"an empty volume is expected to be closer to the truth, by a factor of {times:.3g}"
 
 
 def strength_of_least_error(problem: Problem, trials: Trials, say: Say) -> tuple[float, Array]:
@@ -204,7 +204,7 @@ def strength_of_least_error(problem: Problem, trials: Trials, say: Say) -> tuple
         x = problem.solved(strength, x)
         found = [each.solved(strength, volume) for each, volume in zip(trials.problems, found, strict=True)]
         tried.append((strength, trials.error(x, found)))
-        say(f"strength {strength:.3g}: {tried[-1][1] / trials.size:.3g} of an empty volume's error are to be expected")
+        say(f"strength {strength:.3g}: expected error {tried[-1][1] / trials.size:.3g} of an empty volume's")
     return min(tried, key=lambda each: each[1])[0], np.array(tried)
 
 

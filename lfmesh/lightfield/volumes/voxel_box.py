@@ -45,7 +45,7 @@ class VoxelBox:
         with np.errstate(over="ignore", invalid="ignore"):
             reaches = np.isfinite(self.corners_mm()).all()
         if not reaches:
-            raise LfmeshError("the box of voxels reaches farther than numbers do: make it smaller, or bring it nearer")
+            raise LfmeshError("the box of voxels exceeds the range of float64: make it smaller, or move it closer")
 
     @classmethod
     def of_size(
@@ -219,8 +219,8 @@ def _counts(given: Any) -> tuple[int, int, int]:
     whole = counts.dtype.kind in "iu" and counts.shape == (3,)
     if not whole or (counts < 1).any() or np.prod(counts, dtype=np.float64) > MOST_VOXELS:
         raise LfmeshError(
-            f"counts = {literal(np.asarray(given).tolist())}: must be three whole numbers from 1, with {MOST_VOXELS:,} "
-            "voxels at most"
+            f"counts = {literal(np.asarray(given).tolist())}: must be three whole numbers from 1, with at most "
+            f"{MOST_VOXELS:,} voxels"
         )
     return int(counts[0]), int(counts[1]), int(counts[2])
 

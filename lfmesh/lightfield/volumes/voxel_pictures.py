@@ -95,7 +95,7 @@ def _wide_voxels(pictures: Array, shape: tuple[int, int, int]) -> list[Diffracti
         return []
     return [
         DiffractionWarning(
-            "a wave matrix has the point spreads of the voxels' centres, and those of whole voxels differ from them "
-            f"by some {off:.1%} of the light: take smaller voxels"
+            "a wave matrix has the point spreads of voxel centres, which differ from those of whole voxels by about "
+            f"{off:.1%} of the light: use smaller voxels"
         )
     ]

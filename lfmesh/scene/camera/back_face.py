@@ -59,7 +59,7 @@ class BackFace(Model):
             yield Fault(("back", "cylinder_axis"), self.cylinder_axis, 'cylinders need layout = "square"')
             return
         if max(map(abs, self.decenter_mm)) > pitch_mm / 2:
-            why = f"at most half the pitch, {pitch_mm / 2:g} mm, in x and in y: further on the next lenslets face"
+            why = f"must be at most half the pitch, {pitch_mm / 2:g} mm, in x and y; beyond, it faces the next lenslet"
             yield Fault(("back", "decenter_mm"), list(self.decenter_mm), why)
         corner = cell_corner_mm(pitch_mm, layout, self.cylinder_axis)
         if (1 + self.conic) * corner**2 >= self.radius_mm**2:
@@ -80,7 +80,7 @@ class BackFace(Model):
         elif front_depth_mm is not None and not deep + front_depth_mm < thickness_mm:
             why = (
                 f"at the edges of its cells this face is {deep:.6g} mm deep and the curved face {front_depth_mm:.6g} "
-                f"mm, so that they meet in the plate: give thickness_mm {at_least(deep + front_depth_mm)} or more, or "
+                f"mm, so they meet inside the plate: give thickness_mm {at_least(deep + front_depth_mm)} or more, or "
                 "larger radii"
             )
             yield Fault(("back", "radius_mm"), self.radius_mm, why)

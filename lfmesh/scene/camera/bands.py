@@ -49,7 +49,7 @@ class Band(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield a name that files cannot store, and faults between fields."""
         if not _NAME.fullmatch(self.name):
-            yield Fault(("name",), self.name, "a name of a band has letters, digits, _ and -, 32 at most")
+            yield Fault(("name",), self.name, "a band name has at most 32 characters: letters, digits, _ and -")
         if self.response is not None:
             for key in ("center_nm", "fwhm_nm"):
                 if getattr(self, key) is not None:
@@ -63,8 +63,8 @@ class Band(Model):
                 yield Fault(
                     ("fwhm_nm",),
                     self.fwhm_nm,
-                    f"the band reaches from {first:g} to {last:g} nm, one and a half of its width to each side; "
-                    f"wavelengths reach from {SHORTEST_NM:g} to {LONGEST_NM:g} nm",
+                    f"the band extends from {first:g} to {last:g} nm, 1.5 times its width on each side; wavelengths "
+                    f"must lie between {SHORTEST_NM:g} and {LONGEST_NM:g} nm",
                 )
 
 
@@ -158,9 +158,9 @@ def band_faults(bands: tuple[Band, ...] | str) -> Iterator[Fault]:
     if isinstance(bands, str):
         return
     if not bands:
-        yield Fault(("bands",), None, 'must not be empty: give a band, "rgb" or "xyz", or leave it out')
+        yield Fault(("bands",), None, 'must not be empty: give a band, "rgb" or "xyz", or omit it')
     if len(bands) > MOST_BANDS:
-        yield Fault(("bands",), None, f"there are {len(bands)}; a sensor has {MOST_BANDS} at most")
+        yield Fault(("bands",), None, f"{len(bands)} bands are given; a sensor has at most {MOST_BANDS}")
     names = [band.name for band in bands]
     for i, name in enumerate(names):
         if name in names[:i]:

@@ -26,18 +26,16 @@ class Element(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield faults of this group on its own."""
         if not self.surfaces:
-            yield Fault(("surfaces",), [], "must name one surface or more, such as [0, 1]")
+            yield Fault(("surfaces",), [], "must name at least one surface, such as [0, 1]")
             return
         first = self.surfaces[0]
         if list(self.surfaces) != list(range(first, first + len(self.surfaces))):
-            yield Fault(
-                ("surfaces",), list(self.surfaces), "must be neighbouring surfaces in their order, such as [0, 1]"
-            )
+            yield Fault(("surfaces",), list(self.surfaces), "must be adjacent surfaces in order, such as [0, 1]")
         x, y, _ = (math.radians(angle) for angle in self.pose.tilt_deg)
         tilt = math.degrees(math.acos(max(-1.0, min(1.0, math.cos(x) * math.cos(y)))))
         if not tilt < MOST_TILT_DEG:
             yield Fault(
                 ("pose", "tilt_deg"),
                 list(self.pose.tilt_deg),
-                f"inclines the axis by {tilt:.4g} degrees; it must stay below {MOST_TILT_DEG:g}",
+                f"tilts the axis by {tilt:.4g} degrees; it must stay below {MOST_TILT_DEG:g}",
             )

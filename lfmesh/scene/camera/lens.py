@@ -27,14 +27,14 @@ from lfmesh.scene.quantities import (
 __all__ = ["AS_IT_STANDS", "FILE_CHOICES", "STOP_SIZES", "Element", "FileChoices", "Lens", "Surface"]
 STOP_SIZES = ("stop_semi_diameter_mm", "f_number", "epd_mm")
 """Keys that size the stop in place of the prescription."""
-_EDIT = "to change surfaces of a lens file write it as another one (lfmesh lens convert {} lens.toml), and edit that"
+_EDIT = "to change the surfaces of a lens file, convert it (lfmesh lens convert {} lens.toml) and edit the copy"
 
 
 class Lens(Model):
     """The main lens, given by its prescription or by a file."""
 
     elsewhere: ClassVar[Mapping[str, str]] = {
-        "coating": "a surface has it: surfaces = [{ ..., coating = ... }]; " + _EDIT.format("lib:tessar_50mm")
+        "coating": "it belongs to a surface: surfaces = [{ ..., coating = ... }]; " + _EDIT.format("lib:tessar_50mm")
     }
 
     file: Text | None = None
@@ -207,7 +207,7 @@ class Lens(Model):
             return
         for key in FILE_CHOICES:
             if value := getattr(self, key):
-                yield Fault((key,), value, "it chooses from a lens file, and no file is given")
+                yield Fault((key,), value, "it selects from a lens file, but no file is given")
         for name, coating in self.coatings.items():
             if coating.table is not None:
                 yield Fault(("coatings", name, "table"), coating.table, "a coating with a file belongs to the scene")
@@ -218,8 +218,8 @@ class Lens(Model):
             yield Fault(
                 ("surfaces",),
                 None,
-                "nothing but a stop: a lens needs a surface with glass behind it. For a pinhole camera put a flat "
-                "window before the stop, such as { thickness_mm = 1.0, index = 1.5, semi_diameter_mm = 10.0 }, "
+                "only a stop: a lens needs a surface with glass behind it. For a pinhole camera put a flat "
+                "window in front of the stop, such as { thickness_mm = 1.0, index = 1.5, semi_diameter_mm = 10.0 }, "
                 "{ thickness_mm = 1.0, semi_diameter_mm = 10.0 }",
             )
             return
@@ -234,8 +234,8 @@ class Lens(Model):
                 what = f"surfaces[{i - 1}]" if i else "camera.object_medium"
                 yield Fault(
                     ("surfaces", i, "paraxial"), True,
-                    f"{what} puts {medium if isinstance(medium, str) else 'glass' if i else 'a medium'} before it; a "
-                    "thin lens stands in air",
+                    f"{what} puts {medium if isinstance(medium, str) else 'glass' if i else 'a medium'} before it; "
+                    "a thin lens stands in air",
                 )  # fmt: skip
         yield from self._stop_faults()
         yield from self._spacing_faults()
@@ -244,7 +244,7 @@ class Lens(Model):
     def _stop_faults(self) -> Iterator[Fault]:
         stops = [i for i, surface in enumerate(self.surfaces) if surface.stop]
         if len(stops) > 1:
-            yield Fault(("surfaces", stops[1], "stop"), True, f"surfaces[{stops[0]}] is the stop already; keep one")
+            yield Fault(("surfaces", stops[1], "stop"), True, f"surfaces[{stops[0]}] is already the stop; keep one")
         sizes = list(self.stop_size.items())
         for key, size in sizes[1:]:
             yield Fault((key,), size, f"{sizes[0][0]} = {sizes[0][1]:g} is given too; give one of them")
@@ -253,11 +253,11 @@ class Lens(Model):
             if sized and surface.qbfs is not None:
                 yield Fault(
                     ("surfaces", i, "qbfs"), None,
-                    f"ends at norm_radius_mm; size this stop by semi_diameter_mm, not {sizes[0][0]}",
+                    f"ends at norm_radius_mm; give the size of this stop by semi_diameter_mm, not {sizes[0][0]}",
                 )  # fmt: skip
             solved = bool(stops) and not surface.stop and surface.mesh is None
             if surface.semi_diameter_mm is None and not sized and not solved and surface.refractor is None:
-                hint = "" if stops else "; or mark the stop, which the others follow from"
+                hint = "" if stops else "; or mark the stop: the other clear apertures are computed from it"
                 yield Fault(
                     ("surfaces", i, "semi_diameter_mm"), None, f"missing: the radius of the clear aperture{hint}"
                 )
@@ -278,7 +278,7 @@ class Lens(Model):
                 yield Fault(
                     ("elements", i, "surfaces"),
                     list(element.surfaces),
-                    f"surface {taken[0]} belongs to elements[{owner[taken[0]]}] already; name it once",
+                    f"surface {taken[0]} already belongs to elements[{owner[taken[0]]}]; name it only once",
                 )
             owner.update((number, i) for number in element.surfaces if number not in owner)
 
@@ -293,7 +293,7 @@ class Lens(Model):
             yield Fault(
                 ("surfaces", last, "thickness_mm"),
                 self.surfaces[last].thickness_mm,
-                "omit it at the last surface: mla.distance_mm or sensor.distance_mm gives what follows",
+                "omit it at the last surface: mla.distance_mm or sensor.distance_mm gives the distance behind it",
             )
 
     @property

@@ -172,7 +172,7 @@ class MicrolensArray(Model):
         if abs(radius_mm) < self.corner_mm:
             return (
                 f"a sphere of radius {abs(radius_mm):.6g} mm does not reach the corner of its cell, "
-                f"{self.corner_mm:.6g} mm from the axis: give a smaller pitch_mm than {self.pitch_mm:g}, or here "
+                f"{self.corner_mm:.6g} mm from the axis: give a pitch_mm below {self.pitch_mm:g}, or here "
                 f"{self._least(radius_mm, scale)}"
             )
         depth = abs(radius_mm) - math.sqrt(radius_mm**2 - self.corner_mm**2)
@@ -210,7 +210,7 @@ class MicrolensArray(Model):
         """Yield faults of the lenslet profiles."""
         for key, given in (("conic", self.conic), ("asphere_mm", self.asphere_mm)):
             if len(given) > 1 and len(given) != self.types:
-                why = f"give one for each of the {self.types} types of radii, or one for all; not {len(given)}"
+                why = f"{len(given)} are given; give one for each of the {self.types} lenslet types, or one for all"
                 yield Fault((key,), list(given), why)
         if self.cylinder_axis is not None and self.layout != "square":
             yield Fault(("cylinder_axis",), self.cylinder_axis, 'cylinders need layout = "square"')
@@ -219,7 +219,7 @@ class MicrolensArray(Model):
         """Yield faults of the clear apertures."""
         clear = self.clear_diameter_mm
         if clear is not None and self.cylinder_axis is not None:
-            yield Fault(("clear_diameter_mm",), clear, "cylinders have no round apertures: leave it out")
+            yield Fault(("clear_diameter_mm",), clear, "cylinders have no round apertures: omit it")
         elif clear is not None and clear > self.pitch_mm:
             yield Fault(("clear_diameter_mm",), clear, f"at most pitch_mm = {self.pitch_mm:g}: wider circles overlap")
 
@@ -255,7 +255,7 @@ class MicrolensArray(Model):
     def _back_faults(self, back: BackFace, *, sound: bool) -> Iterator[Fault]:
         """Yield faults of the second face; `sound` is True if the shape of the first has none."""
         if self.focal_length_mm is not None and not back.is_flat:
-            why = "a focal length does not say what each face of camera.mla.back and this one does: give radius_mm"
+            why = "with camera.mla.back a focal length does not determine the radius of each face: give radius_mm"
             yield Fault(("focal_length_mm",), list(self.focal_length_mm), why)
         depth = None
         if sound and self.radius_mm is not None:

@@ -45,8 +45,8 @@ class Sensor(Model):
             yield Fault(
                 ("cover", "thickness_mm"),
                 self.cover.thickness_mm,
-                f"with gap_mm = {self.cover.gap_mm:g} the cover begins {height:.6g} mm before the sensor, which has "
-                f"distance_mm = {room:.6g} of room; thickness_mm and gap_mm together must be less",
+                f"with gap_mm = {self.cover.gap_mm:g} the cover begins {height:.6g} mm in front of the sensor, whose "
+                f"distance_mm = {room:.6g}; thickness_mm and gap_mm together must be less",
             )
 
     @property

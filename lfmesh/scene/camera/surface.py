@@ -275,14 +275,14 @@ class Surface(Model):
         if self.qcon is not None and not self._rim_mm() <= LARGEST:
             yield Fault(("qcon",), None, f"makes a sag of more than {LARGEST:g} mm inside the clear aperture")
         elif self.qcon is not None and not within_floats(self.qcon.asphere_mm, self.qcon.norm_radius_mm):
-            yield Fault(("qcon", "norm_radius_mm"), self.qcon.norm_radius_mm, "its powers leave the range of numbers")
+            yield Fault(("qcon", "norm_radius_mm"), self.qcon.norm_radius_mm, "its powers overflow float64")
         if self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
         yield from both_given(self.coating, self.finish, "finish")
 
     def _qbfs_faults(self, qbfs: Qbfs) -> Iterator[Fault]:
         """Yield keys that exclude `qbfs`, and the reason if it has no even form."""
-        rho, omit = qbfs.norm_radius_mm, "omit it: qbfs deviates from a conic, by all its terms"
+        rho, omit = qbfs.norm_radius_mm, "omit it: the terms of qbfs describe the whole deviation from a conic"
         own = {"asphere_mm": self.asphere_mm, "odd_asphere_mm": self.odd_asphere_mm}
         for key, value in own.items():
             if value:
@@ -290,21 +290,21 @@ class Surface(Model):
         if self.qcon is not None:
             yield Fault(("qcon",), None, omit)
         if self.semi_diameter_mm is None:
-            yield Fault(("semi_diameter_mm",), None, f"missing: qbfs needs one, of {rho:g} mm at most")
+            yield Fault(("semi_diameter_mm",), None, f"missing: qbfs needs one, at most {rho:g} mm")
         elif self.semi_diameter_mm > rho:
             yield Fault(("semi_diameter_mm",), self.semi_diameter_mm, f"qbfs ends at norm_radius_mm = {rho:g}")
         form = self._qbfs_form
         if form is None:
             yield Fault(
                 ("qbfs",), None,
-                f"with {self._shape_in_words()} its conic, or that at its vertex, ends inside semi_diameter_mm = "
+                f"with {self._shape_in_words()} its conic, or the conic at its vertex, ends inside semi_diameter_mm = "
                 f"{min(self.semi_diameter_mm or rho, rho):g}; give a longer radius or smaller coefficients",
             )  # fmt: skip
         elif not form.error_mm <= (most := qbfs.largest_error_mm):
             yield Fault(
                 ("qbfs",), None,
-                f"{MOST_ASPHERE_TERMS} even terms give its sag to {form.error_mm:.2g} mm only; {most:g} mm "
-                "is the limit; give a longer radius, fewer or smaller coefficients",
+                f"{MOST_ASPHERE_TERMS} even terms give its sag with an error of {form.error_mm:.2g} mm, above the "
+                f"limit of {most:g} mm; give a longer radius, fewer or smaller coefficients",
             )  # fmt: skip
 
     def _shape_in_words(self) -> str:
@@ -348,16 +348,16 @@ class Surface(Model):
 
     def _element_faults(self) -> Iterator[Fault]:
         for key, given in self._given_beside("thickness_mm", "semi_diameter_mm", "refractor"):
-            beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
+            beside = f"; give the {key} of the refractor" if key in ("coating", "finish") else ""
             yield Fault((key,), given, f"omit it: the refractor is a whole element{beside}")
         for key in ("shape", "box_mm"):
             given = getattr(self.refractor, key, None)
             if given is not None:
-                yield Fault(("refractor", key), given, "only in front of the camera; give file")
+                yield Fault(("refractor", key), given, "only for a refractor in front of the camera; give file")
         if self.refractor is not None and self.refractor.absorption_per_mm != 0.0:
             yield Fault(
                 ("refractor", "absorption_per_mm"), None,
-                "only in front of the camera; camera.absorption = true takes that of the catalogue's glasses",
+                "only for a refractor in front of the camera; camera.absorption = true uses the catalogue's values",
             )  # fmt: skip
         if self.refractor is not None and self.refractor.priority != 0:
             yield Fault(

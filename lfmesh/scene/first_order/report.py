@@ -187,7 +187,7 @@ class FirstOrder(Shown):
             rows += [_section_row(at) for at in self.lenslet_sections]
             rows += [row for at in self.focused for row in _focused_rows(at, len(self.focused) > 1)]
         rows += [
-            ("object sampling", f"{_mm(self.object_sampling_mm)} a {'lenslet' if standard else 'pixel'}"),
+            ("object sampling", f"{_mm(self.object_sampling_mm)} per {'lenslet' if standard else 'pixel'}"),
             ("field of view", self._field_in_words()),
             (
                 "Airy disk, lens",
@@ -216,10 +216,10 @@ class FirstOrder(Shown):
         if self.efl_x_mm is not None and self.image_x_shift_mm is not None:
             shift = f"image {1e3 * self.image_x_shift_mm:+.4g} µm"
             rows.append(("section x–z", f"effective focal length {_mm(self.efl_x_mm)}, {shift}"))
-            rows.append(("", "the figures above are those of the section y–z"))
+            rows.append(("", "the figures above are for the section y–z"))
         rows += [("posed element", text) for text in self.poses]
         if self.poses:
-            rows.append(("", "the figures above are those of the camera without poses"))
+            rows.append(("", "the figures above are for the camera without poses"))
         return rows
 
     def _field_in_words(self) -> str:
@@ -268,17 +268,17 @@ class FirstOrder(Shown):
             without = "" if error.edge_without is None else f", edges in focus {percent(error.edge_without)}"
             yield (
                 "diffraction, lenslets",
-                f"white pictures are off by {percent(error.white_without)} of their light{without}; with "
-                f'transport.diffraction = "lenslets" {percent(error.white_with)} {error.lenslets_in_words}{edges}'
+                f"untraced, white pictures are off by {percent(error.white_without)} of their light{without}; with "
+                f'transport.diffraction = "lenslets" by {percent(error.white_with)} {error.lenslets_in_words}{edges}'
                 f"{'' if better else ': no nearer'}",
             )
         lit = self.views_across if self.views_across is not None else math.nan
         if not self.focused and self.views_across is None:
             return
-        where = f"{lit:.3g} lenslets across at the ends of the refocus range"
+        where = f"a point at the ends of the refocus range lights {lit:.3g} lenslets across"
         if self.focused:
-            where = f"{middle_of(self.focused).seen_by:.3g} lenslets where it is sharp"
-        yield "diffraction, points", f"the waves of {where} interfere: lf.point_spread has them"
+            where = f"a point in focus lights {middle_of(self.focused).seen_by:.3g} lenslets"
+        yield "diffraction, points", f"{where}, whose waves interfere: compute it by lf.point_spread"
 
     def lines(self) -> list[str]:
         """Return the report, one line per property, followed by its warnings as notes.
@@ -324,7 +324,7 @@ def _focused_rows(at: FocusedLenslets, several: bool) -> Iterator[tuple[str, str
     yield (
         f"lenslets, {_mm(at.focal_length_mm)}" if several else "lenslets",
         f"in focus {_mm(at.in_focus_mm)}, sharp from {_mm(at.near_mm)} to {_mm(at.far_mm)}, "
-        f"{_mm(at.sampling_mm)} a pixel",
+        f"{_mm(at.sampling_mm)} per pixel",
     )
     side, beyond = ("before", "farther") if at.main_image_mm > 0.0 else ("behind", "nearer")
     yield (
@@ -334,7 +334,7 @@ def _focused_rows(at: FocusedLenslets, several: bool) -> Iterator[tuple[str, str
     )
     yield (
         "total covering",
-        f"of virtual depths from {at.covering_depth:.4g} on: {_mm(at.covering_mm)} and {beyond}",
+        f"at virtual depths of {at.covering_depth:.4g} or more: {_mm(at.covering_mm)} and {beyond}",
     )
 
 

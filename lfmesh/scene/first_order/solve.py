@@ -164,8 +164,8 @@ def _with_distances(camera: Camera, wavelength_nm: float) -> Camera:
         distance -= front_principal_mm(camera, wavelength_nm)
         if not math.isfinite(distance):
             raise SceneError(
-                "camera.mla.distance_mm: missing, and cannot be solved: the two faces of the array make lenslets "
-                "without focal length, whose principal points lie at infinity; give it"
+                "camera.mla.distance_mm: missing, and cannot be solved because the lenslets are afocal, with "
+                "principal points at infinity; give it"
             )
         if distance <= 0:
             raise SceneError(
@@ -182,7 +182,7 @@ def _with_distances(camera: Camera, wavelength_nm: float) -> Camera:
 def _focused_image_mm(camera: Camera, omitted: str, wavelength_nm: float) -> float:
     """Return the image distance of `focus_mm`, which must be real."""
     if camera.focus_mm is None:
-        raise SceneError(f"{omitted}: missing; give it, or camera.focus_mm to solve it from")
+        raise SceneError(f"{omitted}: missing; give it, or give camera.focus_mm to have it solved")
     lens = Paraxial.of(camera.lens, wavelength_nm)
     if camera.focus_from == "sensor":
         return _image_by_track_mm(camera, lens, wavelength_nm)
@@ -198,7 +198,7 @@ def _focused_image_mm(camera: Camera, omitted: str, wavelength_nm: float) -> flo
             where = "at infinity" if math.isinf(image) else f"{-image:.6g} mm before the last vertex"
             wish = (
                 f"the lens, whose focal length is {lens.efl_mm:.6g} mm, images this plane {where}; focus nearer, or "
-                "take a converging one"
+                "use a converging lens"
             )
         raise SceneError(f"camera.focus_mm = {camera.focus_mm:g}: no real image behind the lens; {wish}")
     return image
@@ -268,15 +268,15 @@ def _focal_plane_mm(camera: Camera, wavelength_nm: float) -> float:
         if not 0 < focal_length < math.inf:
             raise SceneError(
                 f"camera.mla: the first lenslet type diverges (focal length {focal_length:.4g} mm), and has no focal "
-                "plane to put the sensor in: give camera.sensor.distance_mm too, or lenslets that collect light"
+                "plane for the sensor: give camera.sensor.distance_mm too, or converging lenslets"
             )
         why = (
             "the two faces focus light inside their plate or before it; give a thinner plate or larger radii"
             if mla.has_back
-            else f"the lenslets' focal length of {focal_length:.6g} mm ends inside their plate; with "
-            f"thickness_mm at most {at_most(mla.thickness_mm * focal_length / inside * (1 - BEYOND))} it would not"
+            else f"the lenslets' focal length of {focal_length:.6g} mm ends inside their plate; give "
+            f"thickness_mm at most {at_most(mla.thickness_mm * focal_length / inside * (1 - BEYOND))}"
         )
-        raise SceneError(f"camera.sensor.distance_mm: missing, and there is no focal plane to put it in: {why}")
+        raise SceneError(f"camera.sensor.distance_mm: missing, and there is no focal plane for the sensor: {why}")
     return focal_length - inside
 
 
@@ -331,7 +331,7 @@ def _with_apertures(camera: Camera, wavelength_nm: float) -> Lens:
         wished = (1 + SPARE) * max(beam[i] for beam in beams)
         if not SMALLEST <= wished <= LARGEST:
             raise SceneError(
-                f"camera.lens.surfaces[{i}].semi_diameter_mm: missing, and the beams that it would have to pass are "
+                f"camera.lens.surfaces[{i}].semi_diameter_mm: missing, and the beams through this surface would be "
                 f"{2 * wished:.4g} mm wide; give it"
             )
         wished = min(wished, surface.reach_mm * (1 - SPARE))

@@ -171,7 +171,7 @@ class PointLight(_Shines):
     def faults(self) -> Iterator[Fault]:
         """Yield a rotation without a profile to rotate."""
         if self.profile is None and any(self.rotation_deg):
-            yield Fault(("rotation_deg",), list(self.rotation_deg), "turns a profile, and none is given; omit it")
+            yield Fault(("rotation_deg",), list(self.rotation_deg), "turns a profile, but none is given; omit it")
 
 
 class _Directed(_Shines):
@@ -344,7 +344,7 @@ class LineLight(_Shines):
     def faults(self) -> Iterator[Fault]:
         """Yield coincident ends, which define no axis."""
         if not any(self._way_mm):
-            yield Fault(("end_mm",), list(self.end_mm), "the same place as start_mm; a line has two ends")
+            yield Fault(("end_mm",), list(self.end_mm), "must differ from start_mm: a line has two ends")
         elif why := no_direction(self._way_mm):
             yield Fault(("end_mm",), list(self.end_mm), f"end_mm - start_mm {why}")
 
@@ -407,12 +407,12 @@ class SpotLight(_Directed):
             elif self.edge_deg > self.half_angle_deg:
                 yield Fault(("edge_deg",), self.edge_deg, f"must be at most half_angle_deg = {self.half_angle_deg:g}")
             if self.turn_deg:
-                yield Fault(("turn_deg",), self.turn_deg, "turns a profile, and none is given; omit it")
+                yield Fault(("turn_deg",), self.turn_deg, "turns a profile, but none is given; omit it")
         else:
             if self.half_angle_deg is not None:
                 yield Fault(("half_angle_deg",), self.half_angle_deg, "a profile is given too; give one of them")
             if self.edge_deg:
-                yield Fault(("edge_deg",), self.edge_deg, "softens a cone, and a profile is given; omit it")
+                yield Fault(("edge_deg",), self.edge_deg, "softens a cone, but a profile is given; omit it")
 
 
 Light = Annotated[

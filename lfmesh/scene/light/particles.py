@@ -59,7 +59,7 @@ class Sheet(Model):
         if not (no_direction(self.normal) or no_direction(self.direction)):
             n, d = unit(self.normal), unit(self.direction)
             if abs(float(n @ d)) > ACROSS:
-                yield Fault(("direction",), list(self.direction), "must lie in the sheet, square to normal")
+                yield Fault(("direction",), list(self.direction), "must lie in the sheet, perpendicular to normal")
 
     def irradiance_w_mm2(self, points_mm: Array) -> Array:
         """Return the irradiance on a plane perpendicular to the light.
@@ -183,7 +183,7 @@ class Particles(Model):
         if self.file is not None:
             for key in ("count", "bounds"):
                 if getattr(self, key) is not None:
-                    yield Fault((key,), None, "file is given too: the places are either read or drawn")
+                    yield Fault((key,), None, "file is given too: positions are either read or drawn")
         else:
             for key in ("count", "bounds"):
                 if getattr(self, key) is None:
@@ -192,14 +192,14 @@ class Particles(Model):
             if self.file is None and self.intensity_w_sr is None:
                 yield Fault(("intensity_w_sr",), None, "missing: give it, or a light sheet")
             if self.phase != IsotropicPhase():
-                yield Fault(("phase",), self.phase.kind, "scatters light of a sheet, and none is given; omit it")
+                yield Fault(("phase",), self.phase.kind, "scatters light of a sheet, but none is given; omit it")
             if self.diameter_um is not None:
-                yield Fault(("diameter_um",), self.diameter_um, "scatters light of a sheet, and none is given; omit it")
+                yield Fault(("diameter_um",), self.diameter_um, "scatters light of a sheet, but none is given; omit it")
         else:
             if self.intensity_w_sr is not None:
                 yield Fault(("intensity_w_sr",), self.intensity_w_sr, "a sheet lights them: give one of the two")
             if self.phase.gives_size and self.diameter_um is not None:
-                yield Fault(("diameter_um",), self.diameter_um, "stands in phase, where its kind is mie; omit it here")
+                yield Fault(("diameter_um",), self.diameter_um, "belongs in phase, whose kind is mie; omit it here")
             elif not self.phase.gives_size and self.diameter_um is None:
                 yield Fault(("diameter_um",), None, "missing: particles in a sheet need it, or phase of kind mie")
         if self.frame and self.displacement is None:
@@ -240,7 +240,7 @@ def particle_places(group: Particles, scene: Resolves) -> tuple[Array, Array]:
         if not len(columns[0]):
             raise FileError(f"{path}: has no particles below its first line")
         if len(columns[0]) > MOST_PARTICLES:
-            raise FileError(f"{path}: has {len(columns[0]):,} particles; there can be {MOST_PARTICLES:,}")
+            raise FileError(f"{path}: has {len(columns[0]):,} particles; at most {MOST_PARTICLES:,} are allowed")
         for name, column in zip((*PLACE, INTENSITY), columns, strict=False):
             wrong = np.flatnonzero(~np.isfinite(column) | ((column < 0.0) if name == INTENSITY else False))
             if len(wrong):
@@ -352,13 +352,13 @@ def _from_grid(scene: Resolves, file: str, points: Array) -> Array:
     axes = [np.unique(column) for column in columns[:3]]
     size = [len(axis) for axis in axes]
     if min(size, default=0) < 2:
-        raise FileError(f"{path}: its grid must have two places or more along each of x, y and z")
+        raise FileError(f"{path}: its grid must have at least two points along each of x, y and z")
     place = [np.searchsorted(axis, column) for axis, column in zip(axes, columns[:3], strict=True)]
     number = np.ravel_multi_index((place[0], place[1], place[2]), (size[0], size[1], size[2]))
     if len(number) != np.prod(size) or len(np.unique(number)) != len(number):
         raise FileError(
-            f"{path}: {len(number)} places are not the nodes of one grid, each once; {size[0]} x {size[1]} x {size[2]} "
-            "values of x, y and z would need all their combinations"
+            f"{path}: {len(number)} points do not form a grid; {size[0]} x {size[1]} x {size[2]} values of x, y and z "
+            "need one point for each combination"
         )
     vectors = np.empty((len(number), 3))
     vectors[number] = np.stack(columns[3:], axis=1)

@@ -163,7 +163,7 @@ def curve_of(spectrum: float | Spectrum, reach_nm: tuple[float, float], scene: R
     if not curve.holds(first, last):
         shortest, longest = curve.ends_nm
         raise SceneError(
-            f"{where}: its spectrum reaches from {shortest:g} to {longest:g} nm, and the scene's wavelengths from "
+            f"{where}: its spectrum extends from {shortest:g} to {longest:g} nm, but the scene's wavelengths from "
             f"{first:g} to {last:g} nm"
         )
     return curve
@@ -194,10 +194,8 @@ def reflectance_fault(value: float | Spectrum, where: Location) -> Iterator[Faul
         return
     if value.name is not None or value.blackbody_k is not None:
         what = "an illuminant" if value.name is not None else "a black body"
-        yield Fault(
-            where, None, f"{what} is light; a reflectance is a number, a table or a file with values from 0 to 1"
-        )
+        yield Fault(where, None, f"{what} is no reflectance: give a number, a table or a file with values from 0 to 1")
     for wavelength, share in zip(value.wavelengths_nm or (), value.values or (), strict=False):
         if share > 1.0:
-            yield Fault(where, None, f"value {share:g} at {wavelength:g} nm: a reflectance is from 0 to 1")
+            yield Fault(where, None, f"value {share:g} at {wavelength:g} nm: a reflectance must lie between 0 and 1")
             return

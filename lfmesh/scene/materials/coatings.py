@@ -39,7 +39,7 @@ class MeasuredIndex(Model):
         for key in ("index", "extinction"):
             given = len(getattr(self, key))
             if given != count and (given or key == "index"):
-                yield Fault((key,), None, f"{given} numbers beside {count} wavelengths; give as many")
+                yield Fault((key,), None, f"{given} numbers for {count} wavelengths; give one for each")
         if any(after <= before for before, after in pairwise(self.wavelengths_nm)):
             yield Fault(("wavelengths_nm",), None, "must increase")
 
@@ -129,7 +129,7 @@ class MeasuredReflectance(Model):
             yield Fault(("angles_deg",), None, "must reach from 0 to 90")
         rows = {len(row) for row in self.reflectance}
         if len(self.reflectance) != len(self.wavelengths_nm) or rows != {len(self.angles_deg)}:
-            yield Fault(("reflectance",), None, "must have a row for each wavelength, a number for each angle")
+            yield Fault(("reflectance",), None, "must have a row per wavelength with a number per angle")
         elif any(row[-1] != 1.0 for row in self.reflectance):
             yield Fault(("reflectance",), None, "must end at 1: at 90 degrees every surface reflects everything")
 
@@ -164,9 +164,7 @@ class Coating(Model):
             *others, last = type(self).model_fields
             yield Fault((), None, f"a coating needs one of {', '.join(others)} and {last}")
         if self.layers is not None and not 0 < len(self.layers) <= MOST_LAYERS:
-            yield Fault(
-                ("layers",), None, f"a stack has 1 to {MOST_LAYERS} layers, and this one has {len(self.layers)}"
-            )
+            yield Fault(("layers",), None, f"{len(self.layers)} layers are given; a stack has 1 to {MOST_LAYERS}")
         for key in given[1:]:
             yield Fault((key,), None, f"{given[0]} is given too; give one of them")
 
@@ -174,9 +172,9 @@ class Coating(Model):
 def name_fault(name: str) -> str | None:
     """Return why a coating cannot have this name, or None if it can."""
     if name == UNCOATED:
-        return f'"{UNCOATED}" stands for a bare surface; take another name'
+        return f'"{UNCOATED}" stands for a bare surface; use another name'
     if not _NAME.fullmatch(name):
-        return "a name of a coating has letters, digits, _ and - only"
+        return "a coating name has only letters, digits, _ and -"
     return None
 
 

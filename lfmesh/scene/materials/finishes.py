@@ -27,7 +27,7 @@ class Finish(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield faults between fields."""
         if self.kind == "ground" and self.roughness is None:
-            yield Fault(("roughness",), None, 'missing: finish = { kind = "ground", roughness = 0.1 }, say')
+            yield Fault(("roughness",), None, 'missing: give it, such as finish = { kind = "ground", roughness = 0.1 }')
         elif self.kind != "ground" and self.roughness is not None:
             yield Fault(("roughness",), self.roughness, f'omit it: kind = "{self.kind}" has none')
 
@@ -87,5 +87,5 @@ def both_given(coating: str, finish: Finish, key: str) -> Iterator[Fault]:
     """
     if coating != "none" and finish.is_rough:
         yield Fault(
-            (key,), finish.kind, f'the face has coating = "{coating}" too, and a rough face has none: omit one of them'
+            (key,), finish.kind, f'the face also has coating = "{coating}", but a rough face has none: omit one of them'
         )

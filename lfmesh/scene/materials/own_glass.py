@@ -106,23 +106,23 @@ class OwnGlass(Model):
             if why := curve_fault(self.wavelengths_nm, self.values):
                 yield Fault((), None, why)
             elif close := [w for v, w in pairwise(self.wavelengths_nm) if w - v < CLOSEST_NM]:
-                yield Fault((), None, f"wavelength {close[0]:g} nm: wavelengths stand {CLOSEST_NM:g} nm apart or more")
+                yield Fault((), None, f"wavelength {close[0]:g} nm: give wavelengths {CLOSEST_NM:g} nm apart or more")
             elif len(self.values) > MOST_ROWS:
-                yield Fault((), None, f"{len(self.values)} values; a table of a glass has {MOST_ROWS} at most")
+                yield Fault((), None, f"{len(self.values)} values; a glass table has at most {MOST_ROWS}")
             for wavelength, value in zip(self.wavelengths_nm, self.values, strict=False):
                 if not 1.0 <= value <= 10.0:
-                    yield Fault((), None, f"value {value:g} at {wavelength:g} nm: an index is from 1 to 10")
+                    yield Fault((), None, f"value {value:g} at {wavelength:g} nm: an index must lie between 1 and 10")
                     break
 
     def _sellmeier_faults(self, b: tuple[float, ...], c: tuple[float, ...]) -> Iterator[Fault]:
         if not 1 <= len(b) <= MOST_TERMS:
-            yield Fault(("sellmeier_b",), None, f"{len(b)} coefficients; give 1 to {MOST_TERMS}, as a rule 3")
+            yield Fault(("sellmeier_b",), None, f"{len(b)} coefficients; give 1 to {MOST_TERMS}, usually 3")
         elif len(b) != len(c):
             yield Fault(
-                ("sellmeier_c_um2",), None, f"{len(c)} coefficients beside {len(b)} in sellmeier_b; give as many"
+                ("sellmeier_c_um2",), None, f"{len(c)} coefficients, but {len(b)} in sellmeier_b; give equally many"
             )
         if any(value < 0.0 for value in c):
-            yield Fault(("sellmeier_c_um2",), list(c), "squares of wavelengths, in µm², are 0 or more")
+            yield Fault(("sellmeier_c_um2",), list(c), "squares of wavelengths, in µm², must be 0 or more")
 
     def index_at(self, wavelength_nm: float) -> float:
         """Return the refractive index at a wavelength, relative to air.
@@ -177,7 +177,7 @@ def _index(glass: OwnGlass, wavelength_nm: float) -> float:
     if glass.air is not None:
         index = glass.air.index_of(index, wavelength_nm)
     if not 1.0 <= index <= 10.0:
-        raise GlassError(f"glass at {wavelength_nm:g} nm: index {index:g}; a lens needs one from 1 to 10")
+        raise GlassError(f"glass at {wavelength_nm:g} nm: index {index:g}; it must lie between 1 and 10")
     return index
 
 
@@ -203,7 +203,7 @@ def _name_or_table(value: Any) -> Any:
     if isinstance(value, str | Mapping | OwnGlass):
         return value
     return _refuse(
-        'must be a name, like "SCHOTT/N-BK7", or a table, like { nd = 1.5168, vd = 64.17 }; a number stands in index'
+        'must be a name, like "SCHOTT/N-BK7", or a table, like { nd = 1.5168, vd = 64.17 }; give a number as index'
     )
 
 

@@ -109,22 +109,22 @@ class Medium(Model):
         emission = self.emission_w_mm3_sr
         if isinstance(emission, Spectrum):
             if emission.name is not None:
-                yield Fault(("emission_w_mm3_sr",), emission.name, "an illuminant has a shape and no scale; give a "
-                            "number, and spectrum beside it")  # fmt: skip
+                yield Fault(("emission_w_mm3_sr",), emission.name, "an illuminant has no absolute scale; give a "
+                "number here, and the illuminant as spectrum")  # fmt: skip
             if self.spectrum is not None:
-                yield Fault(("spectrum",), None, "emission_w_mm3_sr is a spectrum itself; omit it")
+                yield Fault(("spectrum",), None, "emission_w_mm3_sr is a spectrum already; omit it")
         if self.temperature_k is not None:
             if emission != 0.0:
                 yield Fault(("temperature_k",), self.temperature_k, "emission_w_mm3_sr is given too; give one of them")
             if self.absorption_per_mm == 0.0 and self.grid is None:
-                yield Fault(("temperature_k",), self.temperature_k, "needs absorption_per_mm: what absorbs nothing "
-                            "emits nothing")  # fmt: skip
+                yield Fault(("temperature_k",), self.temperature_k, "needs absorption_per_mm: a medium that absorbs "
+                "nothing emits nothing")  # fmt: skip
         endless = self.bounds is None and self.grid is None and self.inside is None
         if endless and emission != 0.0 and self.absorption_per_mm == 0.0:
             yield Fault(("emission_w_mm3_sr",), None, "a medium without bounds that emits and absorbs nothing is "
                         "infinitely bright; give bounds, or absorption_per_mm")  # fmt: skip
         if self.grid is None and not self.acts:
-            yield Fault((), None, "does nothing to light: give grid, absorption_per_mm, scattering_per_mm or "
+            yield Fault((), None, "has no effect on light: give grid, absorption_per_mm, scattering_per_mm or "
                         "emission_w_mm3_sr")  # fmt: skip
 
     @property

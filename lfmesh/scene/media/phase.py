@@ -75,7 +75,7 @@ class MiePhase(_PhaseFunction):
     def faults(self) -> Iterator[Fault]:
         """Yield spheres that match their surroundings and scatter nothing."""
         if self.index == self.surrounding_index and not self.extinction:
-            yield Fault(("index",), self.index, "is that of what is round the spheres, so that they scatter nothing")
+            yield Fault(("index",), self.index, "equals the index of the surroundings, so the spheres scatter nothing")
 
 
 class TabulatedPhase(_PhaseFunction):

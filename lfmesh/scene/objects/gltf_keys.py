@@ -21,7 +21,7 @@ class GltfFile(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield a file of another kind."""
         if Path(self.file).suffix.lower() not in ENDINGS:
-            yield Fault(("file",), self.file, "valid are .glb and .gltf; other mesh files stand in [[targets]]")
+            yield Fault(("file",), self.file, "must end in .glb or .gltf; other mesh files belong in [[targets]]")
 
 
 class GltfTargets(GltfFile):

@@ -23,7 +23,7 @@ UNITS_MISSING = (".stl", ".obj", ".ply", ".off")
 
 WAYS_IN = dict.fromkeys(
     (".iges", ".igs"),
-    "is not read: let the CAD program save it as STEP, or as STL or GLB, fine enough for its curves",
+    "is not read: export it from the CAD program as STEP, or as a finely tessellated STL or GLB",
 )
 """Advice for other CAD formats."""
 
@@ -65,9 +65,9 @@ class BodyFile(Model):
             yield Fault(("file",), file, f"must end in one of {', '.join(known)}{nearest(ending, known)}")
             return
         if self.units is None and ending in UNITS_MISSING:
-            yield Fault(("units",), None, f'missing: {ending[1:].upper()} files carry no unit; give units = "mm", say')
+            yield Fault(("units",), None, f'missing: {ending[1:].upper()} files carry no unit; give units, e.g. "mm"')
         if self.node is not None and ending not in NODE_ENDINGS:
-            yield Fault(("node",), self.node, f"omit it: only {', '.join(NODE_ENDINGS)} files have bodies with names")
+            yield Fault(("node",), self.node, f"omit it: only {', '.join(NODE_ENDINGS)} files have named bodies")
         if self.tolerance_mm is not None and ending not in STEP_ENDINGS:
             yield Fault(("tolerance_mm",), self.tolerance_mm, "omit it: only the faces of STEP files are curved")
 
@@ -158,7 +158,7 @@ class Refractor(MeshShape):
             if key != "surface" or self.shape is None:
                 yield Fault((key,), value, f"{given} is given too; omit it, or give a mesh file")
             elif value != "flat":
-                yield Fault((key,), value, 'a shape is met as it is, or by flat facets: omit it, or take "flat"')
+                yield Fault((key,), value, 'a shape is exact, or has flat facets: omit it, or give "flat"')
 
 
 class MeshFace(MeshShape):

@@ -85,11 +85,11 @@ class Material(Model):
                 yield Fault(
                     ("radiance_w_m2_sr",),
                     name,
-                    f'an illuminant has a shape and no scale; give a number, and spectrum = "{name}" beside it',
+                    f'an illuminant has no absolute scale; give a number here, and spectrum = "{name}"',
                 )
             if self.spectrum is not None:
                 yield Fault(
-                    ("spectrum",), None, "radiance_w_m2_sr is a spectrum itself; omit it, or give a number there"
+                    ("spectrum",), None, "radiance_w_m2_sr is a spectrum already; omit it, or give a number there"
                 )
         elif self.spectrum is not None and not self.radiance_w_m2_sr:
             yield Fault(("spectrum",), None, "omit it: the surface has no radiance_w_m2_sr")
@@ -138,9 +138,9 @@ class Target(BodyFile):
             for key in ("shape", *BodyFile.model_fields):
                 if getattr(self, key) is not None:
                     yield Fault((key,), getattr(self, key), "a refractor is given too; give one of them")
-            yield from self._file_faults("glass has neither; omit it")
+            yield from self._file_faults("glass has no material or normals of its own; omit it")
             if self.material != Material():
-                yield Fault(("material",), None, "glass has none: it only reflects and refracts; omit it")
+                yield Fault(("material",), None, "glass has no material: it only reflects and refracts; omit it")
             return
         if self.shape is not None and self.file is not None:
             yield Fault(("file",), self.file, "a shape is given too; give one of them")
@@ -154,7 +154,7 @@ class Target(BodyFile):
                 yield Fault(("node",), self.node, "only for a GLB, glTF, STEP or 3MF file; omit it")
             if self.tolerance_mm is not None:
                 yield Fault(("tolerance_mm",), self.tolerance_mm, "only for a STEP file; omit it")
-            yield from self._file_faults("a shape has its material from the scene, and its own normals")
+            yield from self._file_faults("a shape takes its material from the scene and has its own normals")
         else:
             if self.materials == "file" and self.material != Material():
                 yield Fault(("material",), None, 'materials = "file" takes those of the mesh file; omit one of them')

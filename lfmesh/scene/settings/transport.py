@@ -101,7 +101,7 @@ class Transport(Model):
         if self.target_error is not None:
             yield from self._unfit_for_refinement(self.target_error)
         if len(set(self.wavelengths_nm)) < len(self.wavelengths_nm):
-            yield Fault(("wavelengths_nm",), list(self.wavelengths_nm), "must not hold a wavelength twice")
+            yield Fault(("wavelengths_nm",), list(self.wavelengths_nm), "must not contain a wavelength twice")
 
     def _unfit_for_refinement(self, target_error: float) -> Iterator[Fault]:
         """Yield settings that rule out a target error."""
@@ -109,11 +109,11 @@ class Transport(Model):
             yield Fault(
                 ("target_error",),
                 target_error,
-                'needs method = "adjoint": forward, no pixel can be given samples of its own',
+                'needs method = "adjoint": the forward method cannot give single pixels more samples',
             )
         if self.replicates < 2:
             yield Fault(
-                ("replicates",), self.replicates, "must be 2 or more with target_error: their spread is the error"
+                ("replicates",), self.replicates, "must be 2 or more with target_error: their spread gives the error"
             )
         every = self.samples_each * self.replicates
         if self.max_samples < every:
@@ -121,5 +121,5 @@ class Transport(Model):
             yield Fault(
                 ("max_samples",),
                 self.max_samples,
-                f"must not be below samples = {self.samples}{rounded}, which all pixels get",
+                f"must be at least samples = {self.samples}{rounded}, which every pixel gets",
             )

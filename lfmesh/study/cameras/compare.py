@@ -146,7 +146,7 @@ def compare(
         As `three_cameras`, or too few steps.
     """
     if steps < 3 or steps % 2 == 0:
-        raise LfmeshError(f"steps = {steps}: must be an odd number from 3 on")
+        raise LfmeshError(f"steps = {steps}: must be an odd number, 3 or more")
     say = progress or (lambda _: None)
     scenes = three_cameras(scene, reduction)
     standard = scenes[STANDARD]

@@ -137,7 +137,7 @@ class Dataset:
         self.file, self.folder, self.base = file, folder, scene
         faults = [] if file.count is not None else ["count: missing: the number of items"]
         if len(self) > MOST_POINTS:
-            faults.append(f"count = {file.count}: a dataset has {MOST_POINTS:,} items at most; make several")
+            faults.append(f"count = {file.count}: a dataset has at most {MOST_POINTS:,} items; make several")
         faults += path_faults(file.changes, scene, "changes")
         if not faults and file.changes:
             self.base = scene.changed(file.changes)
@@ -166,7 +166,7 @@ class Dataset:
         found = list(path_faults({draw.path: None}, self.base, "path"))
         yield from found
         if not found and draw.relative and not is_number(value_at(self.base, draw.path)):
-            yield f"relative: {draw.path} is {value_at(self.base, draw.path)!r} in the template, no number to add to"
+            yield f"relative: {draw.path} is {value_at(self.base, draw.path)!r} in the template, not a number to add to"
 
     def _item_faults(self) -> Iterator[str]:
         """Yield the items that are not valid scenes; cameras are solved, and files read, only once."""
@@ -371,12 +371,12 @@ class _Making:
         except FileNotFoundError:
             return
         except (OSError, ValueError, AttributeError):
-            raise FileError(f"{self.folder / FACTS} is damaged; delete it to go on with the items there") from None
+            raise FileError(f"{self.folder / FACTS} is damaged; delete it to continue with the items there") from None
         refuse_maker(str(self.folder), FORMAT, form, maker)
         if digest != self.dataset.digest:
             raise LfmeshError(
-                f"{self.folder} holds another dataset, or template, seed or a file that is drawn from has changed "
-                "since: give another folder, or put back what it was"
+                f"{self.folder} holds another dataset, or the template, the seed or a file that is drawn from has "
+                "changed since: give another folder, or restore the original"
             )
 
     def complete(self, workers: int | None, shard: Shard | None) -> Made:

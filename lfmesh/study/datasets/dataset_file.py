@@ -43,7 +43,7 @@ class Draw(Model):
         """Yield the faults of the draw."""
         given = [way for way in WAYS if getattr(self, way) is not None]
         if len(given) != 1:
-            what = f"{' and '.join(given)} are given" if given else "says nothing to draw from"
+            what = f"{' and '.join(given)} are given" if given else "nothing to draw from is given"
             yield Fault((), None, f"{what}: give one of {', '.join(WAYS)}")
             return
         for way in ("uniform", "log_uniform"):
@@ -55,7 +55,7 @@ class Draw(Model):
         if self.values is not None and not self.values:
             yield Fault(("values",), [], "must not be empty")
         if self.relative and (self.files is not None or not all(map(is_number, self.values or ()))):
-            yield Fault(("relative",), True, "only numbers can be added to what the template has")
+            yield Fault(("relative",), True, "only numbers can be added to the template's value")
 
     def candidates(self, folder: Path) -> tuple[Any, ...]:
         """Return the candidates: values, or the existing files sorted by name; () for a distribution.
@@ -109,7 +109,7 @@ class DatasetFile(Model):
             if part not in PARTS:
                 yield Fault(("parts", i), part, f"unknown part{nearest(part, PARTS)}; there are {', '.join(PARTS)}")
         if not self.random:
-            yield Fault(("random",), None, "missing: what is drawn for every item")
+            yield Fault(("random",), None, "missing: the values to draw for every item")
         paths = [draw.path for draw in self.random]
         for i, path in enumerate(paths):
             if path in paths[:i]:

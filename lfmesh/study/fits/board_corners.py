@@ -91,7 +91,7 @@ def find_corners(
     v, u, corner = np.nonzero(np.isfinite(seen[..., 0]))
     if len(np.unique(corner)) < LEAST_CORNERS:
         raise LfmeshError(
-            f"board: {len(np.unique(corner))} corners lie on samples that the lens fully lights, and "
+            f"board: {len(np.unique(corner))} corners lie on samples that the lens fully lights, but "
             f"{LEAST_CORNERS} are needed"
         )
     span = numbers.max(axis=0) + numbers.min(axis=0)
@@ -120,7 +120,7 @@ def _labelled(view: Array) -> tuple[Array, NDArray[np.int64], Array]:
     if np.median(sizes) < LEAST_SQUARE:
         raise LfmeshError(
             f"board: its squares are {plain(np.median(sizes), 2)} samples wide in a view; they must be "
-            f"{LEAST_SQUARE:g} or more: bring it nearer, or take one with larger squares"
+            f"{LEAST_SQUARE:g} or more: bring it nearer, or use one with larger squares"
         )
     fitted = _fit_all(view, places, steps / sizes[..., None], float(np.median(sizes)))
     sense = np.sign(fitted.contrast) * np.where(numbers.sum(axis=1) % 2, -1.0, 1.0)
@@ -132,7 +132,7 @@ def _labelled(view: Array) -> tuple[Array, NDArray[np.int64], Array]:
 
 def _too_few(count: int) -> str:
     return (
-        f"board: {count} corners of a checkerboard were found in the middle view, and {LEAST_CORNERS} are needed; its "
+        f"board: {count} corners of a checkerboard were found in the middle view, but {LEAST_CORNERS} are needed; its "
         f"squares must be {LEAST_SQUARE:g} samples wide or more, sharp, and in the field of the white image"
     )
 
@@ -219,9 +219,9 @@ def _stated(numbers: NDArray[np.int64], columns: int | None, rows: int | None) -
         numbers, found = np.column_stack([numbers[:, 1], found[0] - 1 - numbers[:, 0]]), stated
     if found != stated or (None not in (columns, rows) and not _ends_are_seen(numbers)):
         raise LfmeshError(
-            f"board: {len(numbers)} corners in {found[0]} columns and {found[1]} rows are seen in the middle view, and "
-            f"columns = {stated[0]}, rows = {stated[1]}: corners between four squares count, and all must be in view, "
-            "but for few of the outer ones"
+            f"board: {len(numbers)} corners in {found[0]} columns and {found[1]} rows are seen in the middle view, but "
+            f"columns = {stated[0]}, rows = {stated[1]}: corners between four squares count, and all except a few of "
+            "the outer ones must be in view"
         )
     return np.asarray(numbers)
 

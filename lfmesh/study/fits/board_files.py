@@ -56,7 +56,7 @@ def read_corners(path: Path) -> BoardCorners:
             reader = csv.DictReader(file)
             missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing:
-                raise FileError(f"{path}: the column {missing[0]} is missing; there must be {', '.join(COLUMNS)}")
+                raise FileError(f"{path}: the column {missing[0]} is missing; needed are {', '.join(COLUMNS)}")
             lines = [[_number(path, reader.line_num, name, line[name]) for name in COLUMNS] for line in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "not a CSV file"
@@ -66,7 +66,7 @@ def read_corners(path: Path) -> BoardCorners:
     if len(places) < LEAST_CORNERS:
         raise FileError(f"{path}: {len(places)} corners of the board; {LEAST_CORNERS} or more are needed")
     if np.linalg.matrix_rank(places - places.mean(axis=0)) < 2:
-        raise FileError(f"{path}: all corners lie on one line of the board; they must not")
+        raise FileError(f"{path}: all corners lie on one line of the board; give corners on several lines")
     return BoardCorners(np.asarray(corner.ravel(), np.int64), values[:, :2], values[:, [3, 2]], values[:, [5, 4]])
 
 

@@ -128,7 +128,9 @@ class BoardFit:
     @property
     def notes(self) -> tuple[str, ...]:
         """Reservations about the values, one sentence each."""
-        more = (f"{self.left_out} places of corners lie far beside the fit and were left out",) if self.left_out else ()
+        more = (
+            (f"{self.left_out} places of corners were left out as outliers, far from the fit",) if self.left_out else ()
+        )
         return (*self.white.notes, *more)
 
     def traded(self, board: int) -> tuple[float, float]:
@@ -274,7 +276,7 @@ class _Adjustment:
                 return self._result(rays, slopes, base, values, covariance)
             rays = self._map(steps)
         raise LfmeshError(
-            f"the fit to the boards did not settle in {ROUNDS} rounds; check the scene against the camera"
+            f"the fit to the boards did not converge in {ROUNDS} rounds; check the scene against the camera"
         )
 
     def _map(self, steps: Array) -> RayMap:
@@ -310,8 +312,8 @@ class _Adjustment:
             rms = float(np.sqrt(np.mean(own[self.used] ** 2)))
             if not rms < WORST:
                 raise LfmeshError(
-                    f"no camera like the scene's sees the boards so: their corners lie {plain(rms, 2)} samples rms "
-                    "beside the best fit; check the squares' size, the scene, and --orientation"
+                    f"no camera like the scene's fits the boards: their corners lie {plain(rms, 2)} samples rms from "
+                    "the best fit; check the squares' size, the scene, and --orientation"
                 )
             self.sigma = rms
             size = np.linalg.norm(own, axis=1)

@@ -83,8 +83,8 @@ def first_pose(rays: Array, board_mm: Array, near_mm: float) -> Array:
     z = (-mixed - np.sqrt(inside)) / square if inside > 0.0 else 0.0
     if not z < 0.0:
         raise LfmeshError(
-            f"board: at no distance before the camera (its nearest focus lies at {near_mm:.4g} mm) do its corners lie "
-            "as the rays of the views do; check the squares' size and --orientation"
+            f"board: its corners match the rays of the views at no distance before the camera (its nearest focus lies "
+            f"at {near_mm:.4g} mm); check the squares' size and --orientation"
         )
     there = at_zero + z * slope
     beside = (there - there.mean(axis=0)) @ np.array([1.0, 1.0j])

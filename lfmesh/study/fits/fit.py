@@ -153,7 +153,7 @@ class Fit:
         """Reservations about the values, one sentence each."""
         if not self.left_out:
             return ()
-        return (f"{self.left_out} micro-images lie far beside the fit and were left out",)
+        return (f"{self.left_out} micro-images were left out as outliers, far from the fit",)
 
 
 def fit(
@@ -237,7 +237,7 @@ class _Search:
         self._simulate(1)
         derivative = self.model.derivative(self.steps)
         split = self._fit(derivative)
-        self.say("simulating what chief rays do not show")
+        self.say("simulating effects beyond chief rays")
         self.seen = self.model.beside_slopes(self.steps, derivative[self._used(derivative)])
         self.slopes = smooth(self.seen)
         # The first image was simulated before the camera was known well.
@@ -251,8 +251,8 @@ class _Search:
             if number > 2 and moved @ np.linalg.solve(split.covariance, moved) < SETTLED**2 * len(moved):
                 return self._result(derivative, split)
         raise LfmeshError(
-            f"the fit did not settle in {ROUNDS} simulated images; give more samples, or check the scene against the "
-            "camera"
+            f"the fit did not converge in {ROUNDS} simulated images; give more samples, or check the scene against "
+            "the camera"
         )
 
     def _simulate(self, number: int) -> None:
@@ -330,8 +330,8 @@ class _Search:
     def _check(self, rms: float) -> None:
         if rms > WORST * self.pitch:
             raise LfmeshError(
-                f"no camera like the scene's takes this picture: its micro-images lie {plain(rms, 2)} pixels rms "
-                "beside the best fit; check layout, count, pitch and pixels of the scene, and --orientation"
+                f"no camera like the scene's fits this picture: its micro-images lie {plain(rms, 2)} pixels rms from "
+                "the best fit; check layout, count, pitch and pixels of the scene, and --orientation"
             )
 
     def _result(self, derivative: Array, split: Split) -> Fit:

@@ -96,7 +96,7 @@ class Split:
         kept = like.kept if like is not None else sorted(int(i) for i in order[: len(unknown)])
         free = [i for i in range(rows.shape[1]) if i not in kept]
         if not free:
-            raise LfmeshError("the picture's micro-images scatter so much that they determine nothing")
+            raise LfmeshError("the positions of the picture's micro-images scatter too much to determine any parameter")
         covariance: Array = sigma**2 * np.linalg.inv(rows[:, free].T @ rows[:, free]).astype(np.float64)
         if like is not None:
             return cls(free, kept, like.group, like.traded, covariance)

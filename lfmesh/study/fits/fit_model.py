@@ -109,7 +109,7 @@ def _further(scene: Scene, path: str, reach: float) -> Parameter:
     except (KeyError, SceneError) as error:
         raise LfmeshError(f"also: {error.args[0]}") from None
     if not is_number(value) or not np.isfinite(value):
-        raise LfmeshError(f"also: {path} is {value!r}, no finite number that can be fitted")
+        raise LfmeshError(f"also: {path} is {value!r}; only finite numbers can be fitted")
     if not (np.isfinite(reach) and reach > 0.0):
         raise LfmeshError(f"also: {path} = {reach:g}: give its largest plausible change, above 0")
     field = path.rsplit(".", 1)[-1].split("[")[0]
@@ -149,7 +149,7 @@ class FitModel:
             return self.scene.changed({each.path: each.start + float(step) for each, step in moved})
         except SceneError as error:
             line = str(error).splitlines()[0]
-            raise LfmeshError(f"no camera near the scene's fits the picture; the search came to {line}") from None
+            raise LfmeshError(f"no camera near the scene's fits the picture; the search ended at {line}") from None
 
     def centres(self, steps: Array) -> Array:
         """Return the chief rays' points on the sensor, (rows, columns, 2) pixels; NaN: none."""

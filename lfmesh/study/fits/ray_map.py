@@ -89,7 +89,7 @@ class RayMap:
         place, value = place[whole], value[whole]
         terms = _terms(_scaled(place, size, reach))
         if len(terms) < 4 * terms.shape[1]:
-            raise LfmeshError("camera: the lens lets hardly any ray of the views through; check it with lfmesh check")
+            raise LfmeshError("camera: almost no ray of the views passes the lens; check it with lfmesh check")
         q, r = np.linalg.qr(terms)
         coefficients = np.linalg.solve(r, q.T @ value)
         return cls(

@@ -53,9 +53,9 @@ def light_of(
     columns, rows = scene.camera.sensor.pixels
     if light.shape != (rows, columns):
         height, width = light.shape
-        raise LfmeshError(f"the {name} has {width} × {height} pixels, and camera.sensor.pixels = [{columns}, {rows}]")
+        raise LfmeshError(f"the {name} has {width} × {height} pixels, but camera.sensor.pixels = [{columns}, {rows}]")
     if not np.isfinite(light).all():
-        raise LfmeshError(f"the {name} has pixels that are infinite or no number")
+        raise LfmeshError(f"the {name} has pixels that are infinite or not numbers")
     if not light.max() > 0.0:
         raise LfmeshError(f"the {name} is black")
     return np.ascontiguousarray(light, np.float64)

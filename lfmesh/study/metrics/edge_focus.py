@@ -86,7 +86,7 @@ def why_unknown(rows: int, columns: int, model: RayModel) -> str:
     model : RayModel
     """
     if min(rows, columns) < LEAST_ROWS:
-        return f"needs {LEAST_ROWS} × {LEAST_ROWS} lenslets at least, and the camera has {columns} × {rows}"
+        return f"needs at least {LEAST_ROWS} × {LEAST_ROWS} lenslets, but the camera has {columns} × {rows}"
     count = max(1, math.floor(model.micro_image_pitch_px))
     directions = np.asarray(model.slope_step * (np.arange(count) - 0.5 * (count - 1)), dtype=np.float64)
     seen = int(_inner_views(directions, directions, model).any(axis=0).sum())
@@ -94,8 +94,8 @@ def why_unknown(rows: int, columns: int, model: RayModel) -> str:
         return ""
     width = 2.0 * model.lenslet_to_sensor_mm * model.pupil_slope / model.pixel_mm
     return (
-        f"needs {LEAST_VIEWS} columns of views at least that the pupil does not cut, and the camera has {seen}: its "
-        f"micro-images are {width:.3g} pixels wide; {LEAST_WIDTH_PX:g} are enough"
+        f"needs at least {LEAST_VIEWS} columns of views that the pupil does not cut, but the camera has {seen}: its "
+        f"micro-images are {width:.3g} pixels wide; {LEAST_WIDTH_PX:g} would be enough"
     )
 
 

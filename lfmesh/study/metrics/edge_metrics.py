@@ -81,7 +81,7 @@ def why_no_mtf50(scene: Scene) -> str:
     columns, rows = scene.camera.mla.count
     if min(columns, rows) >= LEAST_LENSLETS:
         return ""
-    return f"needs {LEAST_LENSLETS} × {LEAST_LENSLETS} lenslets at least, and the camera has {columns} × {rows}"
+    return f"needs at least {LEAST_LENSLETS} × {LEAST_LENSLETS} lenslets, but the camera has {columns} × {rows}"
 
 
 def refocus_distance(pair: Comparison) -> Array:

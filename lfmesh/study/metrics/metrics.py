@@ -120,7 +120,7 @@ METRICS: Mapping[str, Metric] = {
         unknown=why_no_mtf50,
         unseen=(
             "the middle of the photograph shows no straight edge, or one that is lost in noise or sharper than its "
-            "samples can tell"
+            "samples resolve"
         ),
     ),
     "refocus": Metric(
@@ -155,8 +155,8 @@ METRICS: Mapping[str, Metric] = {
         depth,
         needs_mla=True,
         unseen=(
-            "no part of the reference's picture has texture enough to tell depth, or half of it or more has no known "
-            "depth here"
+            "no part of the reference's picture has enough texture to estimate depth, or at least half of it has no "
+            "known depth here"
         ),
     ),
     "crosstalk": Metric(

@@ -53,9 +53,9 @@ class Variable(Model):
             if not low < high:
                 yield Fault(("range",), [low, high], "is empty or reversed: the first value must be below the second")
             elif self.is_radius and 0.0 in (low, high):
-                yield Fault(("range",), [low, high], "a radius is not 0; give ends other than 0")
+                yield Fault(("range",), [low, high], "a radius cannot be 0; give ends other than 0")
         elif len(self.values or ()) < 2:
-            yield Fault(("values",), list(self.values or ()), "must be two values at least")
+            yield Fault(("values",), list(self.values or ()), "must be at least two values")
 
 
 class Goal(Model):
@@ -76,7 +76,7 @@ class Goal(Model):
             yield Fault(("metric",), self.metric, f"unknown metric; the nearest are {close}. {ALL_FIGURES}")
             return
         if self.field is not None and figure.source != "rays":
-            yield Fault(("field",), self.field, f"omit it: {self.metric} is not of a field")
+            yield Fault(("field",), self.field, f"omit it: {self.metric} does not depend on the field")
         if self.field == 0.0 and self.metric == "distortion":
             yield Fault(("field",), 0.0, "must be above 0: there is no distortion on the axis")
         if (self.per_mm is None) == (self.metric == "mtf"):
@@ -109,7 +109,7 @@ class Term(Goal):
         yield from super().faults()
         figure = figure_named(self.metric)
         if figure is not None and figure.ideal is None and self.target is None:
-            yield Fault(("target",), None, f"missing: the {self.metric} that is wished for")
+            yield Fault(("target",), None, f"missing: the desired {self.metric}")
 
     @property
     def wanted(self) -> float:
@@ -199,9 +199,9 @@ class DesignFile(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield faults between the fields."""
         if not self.variables:
-            yield Fault(("variables",), None, "missing: what may vary")
+            yield Fault(("variables",), None, "missing: the parameters that may vary")
         if not self.merit:
-            yield Fault(("merit",), None, "missing: what makes a camera good")
+            yield Fault(("merit",), None, "missing: the terms of the merit function")
         paths = [variable.path for variable in self.variables]
         for i, path in enumerate(paths):
             if path in paths[:i]:

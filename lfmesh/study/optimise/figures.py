@@ -93,10 +93,10 @@ def _depth_resolution(_: Scene, facts: FirstOrder) -> float:
 
 SPOTS = {
     "spot_rms_mm": Figure("rms radius of spots about their centroids, all fields / mm", "rays", 0.0, "rms"),
-    "spot_chief_rms_mm": Figure("the same about the primary chief rays / mm", "rays", 0.0, "rms"),
+    "spot_chief_rms_mm": Figure("the same relative to the primary chief rays / mm", "rays", 0.0, "rms"),
     "mtf": Figure("geometric MTF at per_mm, tangential and sagittal", "rays", 1.0),
-    "distortion": Figure("chief rays over their paraxial heights, less 1", "rays", 0.0, "rms"),
-    "lateral_colour_mm": Figure("chief rays from the primary wavelength's / mm", "rays", 0.0, "rms"),
+    "distortion": Figure("chief-ray heights divided by the paraxial heights, minus 1", "rays", 0.0, "rms"),
+    "lateral_colour_mm": Figure("chief rays relative to the primary wavelength's / mm", "rays", 0.0, "rms"),
 }
 """Figures of rays."""
 
@@ -106,15 +106,15 @@ CAMERA_FIGURES = {
     "air_space_mm": CameraFigure("spaces between elements, on the axis and at their edge / mm", _air_spaces, "least"),
     "total_length_mm": CameraFigure("from the first vertex to the sensor / mm", _total_length),
     "micro_image_fill": CameraFigure(
-        "diameter of micro-images over their pitch: 1 where the f-numbers of lens and lenslets match, more where "
+        "diameter of micro-images divided by their pitch: 1 if the f-numbers of lens and lenslets match, more if "
         "micro-images overlap", _micro_image_fill,
     ),
-    "refocus_range_mm": CameraFigure("far_mm less near_mm / mm", lambda _, facts: facts.far_mm - facts.near_mm),
+    "refocus_range_mm": CameraFigure("far_mm minus near_mm / mm", lambda _, facts: facts.far_mm - facts.near_mm),
     "depth_resolution_mm": CameraFigure(
-        "depth that is sharp together in a photograph of the plane in focus / mm", _depth_resolution
+        "depth that is sharp at once in a photograph of the plane in focus / mm", _depth_resolution
     ),
-    "field_of_view_x_mm": CameraFigure("width seen of the plane in focus / mm", lambda _, at: at.field_of_view_mm[0]),
-    "field_of_view_y_mm": CameraFigure("height seen of the plane in focus / mm", lambda _, at: at.field_of_view_mm[1]),
+    "field_of_view_x_mm": CameraFigure("width seen in the plane in focus / mm", lambda _, at: at.field_of_view_mm[0]),
+    "field_of_view_y_mm": CameraFigure("height seen in the plane in focus / mm", lambda _, at: at.field_of_view_mm[1]),
 }  # fmt: skip
 """Figures of the solved scene in addition to the first-order report's."""
 

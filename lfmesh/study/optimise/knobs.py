@@ -147,11 +147,11 @@ def _faults(variable: Variable, scene: Scene, ready: Scene) -> Iterator[str]:
     if value is None and is_number(found := value_at(ready, variable.path)):
         yield f"{named}: it is solved, to {found:.6g} at present; give it a number to begin with, such as this one"
     elif value is None:
-        yield f"{named}, which is solved or left out; give it a number to begin with"
+        yield f"{named}, solved or left out; give it a number to begin with"
     elif value and isinstance(value, tuple) and all(map(is_number, value)):
         yield f"path: {variable.path} has {counted(len(value), 'number')} in the scene; name one: {variable.path}[0]"
     elif not is_number(value) and not flat:
-        yield f"{named}, no number; give values to choose from in place of a range"
+        yield f"{named}, not a number; give values to choose from in place of a range"
     elif isinstance(value, int):
         yield f"{named}, a whole number; give values to choose from in place of a range"
     elif not 0.0 <= Knob(variable, value).place(value) <= 1.0:
@@ -161,13 +161,13 @@ def _faults(variable: Variable, scene: Scene, ready: Scene) -> Iterator[str]:
 def _outside(variable: Variable, value: float) -> str:
     """Return in words that a value of the scene is outside the range of its variable."""
     low, high = variable.range or (0.0, 0.0)
-    words = f"range = [{low:g}, {high:g}]: {variable.path} is {value:g} in the scene, outside of it"
+    words = f"range = [{low:g}, {high:g}]: {variable.path} is {value:g} in the scene, outside it"
     if not (variable.is_radius and low < 0.0 < high):
         return words
     to_flat = f"[{value:g}, {high:g}]" if value < 0.0 else f"[{low:g}, {value:g}]"
     one_sign = f"[{low:g}, {0.5 * value:g}]" if value < 0.0 else f"[{0.5 * value:g}, {high:g}]"
     return (
-        f"{words}: that of a radius through 0 runs through flat (infinite radius) and holds R <= {low:g} and "
+        f"{words}: the range of a radius through 0 passes through flat (infinite radius) and has R <= {low:g} and "
         f"R >= {high:g}; give ends nearer to 0, such as {to_flat}, or of one sign, such as {one_sign}"
     )
 

@@ -175,8 +175,7 @@ def layout_of(scene: Scene, waves_nm: tuple[float, ...], object_mm: float | None
     if (number := lens.number_off_revolution) is not None:
         key = lens.surfaces[number].section_key
         raise LfmeshError(
-            f"camera.lens.surfaces[{number}].{key}: terms of rays are those of surfaces of revolution, as the lens "
-            "sheet's are"
+            f"camera.lens.surfaces[{number}].{key}: terms of rays need surfaces of revolution, as the lens sheet does"
         )
     stop = lens.stop_index or 0
     return RayLayout(

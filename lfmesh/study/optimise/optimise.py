@@ -343,15 +343,15 @@ def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
     notes += _not_searched(problem, search)
     if search.cut:
         most = problem.design.search.evaluations
-        notes.append(f"a search ended after evaluations = {most} cameras, before it had found its best: allow more")
+        notes.append(f"a search ended after evaluations = {most} cameras, before it converged: allow more")
     notes += [
-        f"a search ended at a camera around which {title} is not known, so that its derivative could not be told: "
-        "begin elsewhere, or raise samples"
+        f"a search ended at a camera around which {title} is unknown, so it has no derivative: begin elsewhere, or "
+        "raise samples"
         for title in sorted(search.left_open)
     ]
     if search.beyond_reach and problem.violation(search.best):
         notes += [
-            f"{goal.title}: a search for nothing but limits found none that keeps {goal.in_words}; the nearest has "
+            f"{goal.title}: a search for the limits alone found no camera that keeps {goal.in_words}; the nearest has "
             f"{shown_value(goal.metric, search.best.figures[goal].value):.6g}"
             for goal in problem.design.constraints
             if excess_of(goal, search.best.figures[goal]).value.max() > KEPT
@@ -362,12 +362,12 @@ def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
         if rays.stopped:
             named = "" if problem.design.rays.height_mm is None else f" = {problem.design.rays.height_mm:g}"
             notes.append(
-                f"height_mm{named} in [rays]: the camera to begin with stops most rays, and terms are of those that "
-                f"pass: {rays.stopped}; give a smaller height_mm"
+                f"height_mm{named} in [rays]: the starting camera stops most rays, and the terms use only the rays "
+                f"that pass: {rays.stopped}; give a smaller height_mm"
             )
         notes.append(
-            f"derivatives of rays are those of traced rays; the {rays.passed} rays are those that pass the lens at "
-            "first, all of one weight; apertures take none of them later: lfmesh lens sheet tells what passes at last"
+            f"the search follows the {rays.passed} rays that pass the starting lens, equally weighted, and does not "
+            "update vignetting: check the result with lfmesh lens sheet"
         )
     if "render" in sources:
         notes.append("derivatives of pictures are differences over 1 % of a range, with common random numbers")
@@ -380,8 +380,8 @@ def _not_searched(problem: Problem, search: Search) -> Iterator[str]:
         searched, lost = ({picks[number] for picks in seen} for seen in (search.searched, search.lost))
         for pick in sorted(lost - searched):
             yield (
-                f"{choice.variable.path} = {literal(choice.values[pick])} was not searched: where searches began, the "
-                "camera with it is not valid, or rays have no path in it"
+                f"{choice.variable.path} = {literal(choice.values[pick])} was not searched: at the starting points, "
+                "the camera with it is not valid, or rays have no path in it"
             )
 
 
@@ -390,15 +390,15 @@ def _differences(problem: Problem, best: Rated) -> Iterator[str]:
     try:
         again = problem.looked_at_again(best.place)
     except LfmeshError as error:
-        yield f"the best camera cannot be looked at with other rays: {error}"
+        yield f"the best camera could not be checked with other rays: {error}"
         return
     for goal, value in again.items():
         searched = shown_value(goal.metric, best.figures[goal].value)
         if not abs(value - searched) <= max(UNLIKE * max(abs(value), abs(searched)), NOTHING):
             other = "not known" if np.isnan(value) else f"{value:.4g}"
             yield (
-                f"{goal.title} is {searched:.4g} by the rays of the search, but {other} by twice as many across, "
-                "of those that pass the best camera: raise across in [rays], or look at its clear apertures"
+                f"{goal.title} is {searched:.4g} by the rays of the search, but {other} by twice as many across that "
+                "pass the best camera: raise across in [rays], or check its clear apertures"
             )
 
 

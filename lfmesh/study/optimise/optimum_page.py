@@ -20,7 +20,7 @@ def page(found: Optimum) -> str:
     name = found.first.name or "a camera"
     return filled(
         TEMPLATE,
-        title=f"The best of {name}",
+        title=f"Optimised camera: {name}",
         made_by=f"lfmesh {lfmesh.__version__}",
         effort=found.effort,
         in_short=_in_short(found),
@@ -37,11 +37,11 @@ def page(found: Optimum) -> str:
 
 def _in_short(found: Optimum) -> list[str]:
     left = found.merit_left
-    lines = [f"The merit was {found.merit_before:.6g} and is {left:.6g}."]
+    lines = [f"Merit function: {found.merit_before:.6g} before, {left:.6g} after (smaller is better)."]
     if left and len(found.terms) > 1:
         worst = max(found.terms, key=lambda each: each.share_left)
         share = worst.share_left / left
-        lines.append(f"{100.0 * share:.0f} % of it is of {worst.goal.title}, which is {worst.after:.6g}.")
+        lines.append(f"{100.0 * share:.0f} % of it comes from {worst.goal.title}, which is {worst.after:.6g}.")
     if found.constraints:
         lines.append(f"{len(found.constraints) - len(found.violated)} of {len(found.constraints)} limits are kept.")
     ends = [each.variable.title for each in found.variables if each.note.startswith("at the")]

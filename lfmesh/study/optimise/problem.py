@@ -340,7 +340,7 @@ class Problem:
         self._numbers(self.start)
         rated = self.rated(self.start)
         faults = [
-            f"{key}[{i}].metric: {goal.metric} is {self._in_words(goal, rated)}; begin with one where it is a number"
+            f"{key}[{i}].metric: {goal.metric} is {self._in_words(goal, rated)}; start with a camera that has a number"
             for key, goals in (("merit", self.design.merit), ("constraints", self.design.constraints))
             for i, goal in enumerate(goals)
             if not np.isfinite(rated.figures[goal].value).all()
@@ -352,9 +352,9 @@ class Problem:
         """Return the value of a figure in the initial camera, or why it is unknown."""
         value = shown_value(goal.metric, rated.figures[goal].value)
         if not np.isnan(value):
-            return f"{value:g} in the camera to begin with"
+            return f"{value:g} in the starting camera"
         why = self.renders.unknown.get(goal.metric, "") if self.renders is not None else ""
-        return "not known in the camera to begin with" + (f": {why}" if why else "")
+        return "not known in the starting camera" + (f": {why}" if why else "")
 
     def _value_faults(self) -> Iterator[str]:
         """Yield candidate values that are not valid in the initial camera, in the scene's words."""
@@ -362,7 +362,7 @@ class Problem:
         for number, choice in enumerate(self.choices):
             path, variable = choice.variable.path, self.design.variables.index(choice.variable)
             for pick, value in enumerate(choice.values):
-                reason = "is of a lens with another number of surfaces than the camera to begin with"
+                reason = "is of a lens with another number of surfaces than the starting camera's"
                 with_it = picked(self.start, number, pick)
                 try:
                     if len(self._numbers(with_it)) == size:

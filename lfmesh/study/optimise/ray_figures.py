@@ -186,7 +186,7 @@ def ray_figures_of(scene: Scene, rays: Rays, shares: tuple[float, ...]) -> RayFi
             )
     rows = np.vstack(chiefs + others)
     if not np.isfinite(rows).all():
-        raise LfmeshError("the chief ray of a field does not come to the stop; give a smaller height_mm in [rays]")
+        raise LfmeshError("the chief ray of a field does not reach the stop; give a smaller height_mm in [rays]")
     numbers = rows[:, 4:].astype(np.int64)
     return RayFigures(layout, RayFan(rows[:, :2], numbers[:, 0], numbers[:, 1]), rows[:, 2:4], through)
 

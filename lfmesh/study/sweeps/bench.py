@@ -210,11 +210,11 @@ class Bench:
             if not column.knows(means[column.name]):
                 name = metric_of(column.name)
                 why = reference.unknown[name]
-                raise LfmeshError(f"{name}, which has a limit, cannot be had of the reference camera: {why}")
+                raise LfmeshError(f"{name} has a limit, but is not known for the reference camera: {why}")
         allowed = largest_change(search, columns, means, measured, len(self.replicates))
         if allowed.unknown and allowed.value == search.start and not allowed.column:
             raise LfmeshError(
-                f"the largest change cannot be searched, as limits have no known value: {allowed.unknown}"
+                f"the largest change cannot be searched, because limits have no known value: {allowed.unknown}"
             )
         return allowed
 

@@ -253,14 +253,14 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
         ]
         if not faults and axis.relative and not is_number(value_at(ready_scene, axis.path)):
             found = value_at(ready_scene, axis.path)
-            faults.append(f"axes[{i}].relative: {axis.path} is {found!r} in the reference camera, no number to add to")
+            faults.append(f"axes[{i}].relative: {axis.path} is {found!r} in the reference camera, not a number")
     for i, each in enumerate(study.compensators):
         of = list(path_faults({each.path: None}, ready_scene, "path", refocus=study.refocus))
         if not of and not is_number(value_at(ready_scene, each.path)):
             found = value_at(ready_scene, each.path)
-            of.append(f"path: {each.path} is {found!r} in the reference camera, no number to adjust")
+            of.append(f"path: {each.path} is {found!r} in the reference camera, not a number")
         elif not of and isinstance(value_at(ready_scene, each.path), int):
-            of.append(f"path: {each.path} is a whole number, which cannot be adjusted by parts; make it an axis")
+            of.append(f"path: {each.path} is a whole number and cannot be adjusted continuously; make it an axis")
         faults += [f"compensators[{i}].{line}" for line in of]
     faults += _metric_faults(study, ready_scene)
     faults += _count_faults(study, axes)
@@ -338,18 +338,18 @@ def path_faults(paths: dict[str, Any], scene: Scene, prefix: str, *, refocus: bo
             yield f'{prefix} = "{path}": {error.args[0]}'
         else:
             if path == FOCUS and prefix == "path" and not refocus:
-                yield f'{prefix} = "{path}": changes nothing, as distances are solved once; add refocus = true'
+                yield f'{prefix} = "{path}": changes nothing, because distances are solved once; add refocus = true'
 
 
 def _metric_faults(study: StudyFile, scene: Scene) -> Iterator[str]:
     transport = scene.transport
     if transport.target_error is not None:
-        yield "transport.target_error: leave it out; the replicates of a study must all have the same samples"
+        yield "transport.target_error: omit it; the replicates of a study must all have the same samples"
     batches = study.batches
     if transport.replicates % batches or transport.replicates // batches < LEAST_REPLICATES:
         yield (
-            f"batches = {batches}: must divide transport.replicates = {transport.replicates} into equal parts of "
-            f"{LEAST_REPLICATES} at least"
+            f"batches = {batches}: must divide transport.replicates = {transport.replicates} into equal parts of at "
+            f"least {LEAST_REPLICATES}"
         )
     yield from unknown_metrics(study.metrics)
     if "efficiency" in study.metrics and "noise" not in study.metrics:
@@ -369,7 +369,7 @@ def _count_faults(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[str]:
     else:
         field, points = "axes", sum(each)
     if points > MOST_POINTS and not study.scenes:
-        yield f'{field}: design = "{study.design}" makes {points:,} points; a study has {MOST_POINTS:,} at most'
+        yield f'{field}: design = "{study.design}" makes {points:,} points; a study has at most {MOST_POINTS:,}'
 
 
 def _points(study: StudyFile, axes: tuple[Axis, ...], base: Scene) -> Iterator[Point]:
@@ -455,7 +455,7 @@ def _point_faults(plan: Plan) -> Iterator[str]:
     if plan.study.refocus and len(plan.points) > 1 and len(distances) == 1:
         yield (
             "refocus = true: changes nothing: by first-order optics every point has the reference's distances of array "
-            "and sensor; omit it. A compensator of camera.mla.distance_mm refocuses what poses and the like defocus"
+            "and sensor; omit it. To refocus after a change of a pose, use a compensator of camera.mla.distance_mm"
         )
 
 

@@ -188,6 +188,6 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 def _death_in_words(code: int | None) -> str:
     if code is not None and code < 0:
         name = signal.Signals(-code).name
-        hint = ": perhaps the memory was used up" if -code == signal.SIGKILL else ""
+        hint = ": perhaps memory ran out" if -code == signal.SIGKILL else ""
         return f"its process was ended by {name}, {TRIES} times{hint}"
     return f"its process ended with exit code {code}, {TRIES} times"

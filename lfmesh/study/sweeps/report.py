@@ -57,8 +57,8 @@ def page(table: Table) -> str:
     overview = _overview(table, columns, drawn)
     return filled(
         TEMPLATE,
-        title=plan.study.name or f"A study of {plan.base.name or 'a camera'}",
-        made_by=f"lfmesh {lfmesh.__version__}; reference: {plan.base.name or 'a scene without a name'}",
+        title=plan.study.name or f"Study of {plan.base.name or 'a camera'}",
+        made_by=f"lfmesh {lfmesh.__version__}; reference: {plan.base.name or 'an unnamed scene'}",
         in_short=in_short(table),
         failed=[(words_of(table, row), row.point.number, row.fault) for row in table.failed if row.fault != "not done"],
         warned=[str(each) for each in table.warnings],
@@ -106,11 +106,11 @@ def page(table: Table) -> str:
 def _why_nothing(table: Table, done: list[Row], columns: list[Column]) -> str:
     """Return the reason why no metric is drawn against a parameter."""
     if table.plan.scenes:
-        return "Scenes are compared, which differ in more than a parameter."
+        return "The scenes compared differ in more than one parameter."
     if len(done) < 2:
-        return "Fewer than two points are done yet."
+        return "Fewer than two points are finished."
     return (
-        "No parameter has two values among the points that are done."
+        "No parameter has two values among the finished points."
         if columns
         else "No metric has a column with a known value."
     )
@@ -120,11 +120,11 @@ def _why_no_slope(table: Table, axis: int, columns: list[Column]) -> str:
     """Return the reason why a parameter has no sensitivities."""
     rows = [row for row in table.along(axis) if row.estimates]
     if not all(is_number(table.value_of(row, axis)) for row in rows):
-        return "No sensitivity: the values are no numbers."
+        return "No sensitivity: the values are not numbers."
     if all(column.of == "psnr" for column in columns):
-        limited = "its budget has those" if table.limited else "with a limit of PSNR, its budget has those"
-        return f"PSNR has no sensitivity, as it is infinite at the reference; {limited} of the mean square behind it."
-    return "No sensitivity: it takes three points at which this parameter alone differs."
+        limited = "its budget lists those" if table.limited else "with a limit of PSNR, its budget lists those"
+        return f"PSNR has no sensitivity, because it is infinite at the reference; {limited} of its mean square."
+    return "No sensitivity: it needs three points that differ in this parameter only."
 
 
 def _overview(table: Table, columns: list[Column], axes: list[int]) -> dict[str, Any]:

@@ -135,8 +135,7 @@ def metrics_not_known(table: Table) -> Iterator[str]:
             share = f"{sum(way.unknown for way in ways)} of {sum(way.cameras for way in ways)} cameras"
             why = _reasons(way.reason for way in ways)
             yield (
-                f"{name} is {NOT_KNOWN} of {share} that searches and adjustments went through "
-                f"({_listed(table, met)}): {why}."
+                f"{name} is {NOT_KNOWN} for {share} tried by searches and adjustments ({_listed(table, met)}): {why}."
             )
 
 
@@ -155,8 +154,8 @@ def _listed(table: Table, rows: list[Row]) -> str:
 def unknown_of_reference(outcome: Outcome) -> list[str]:
     """Return the unknown metrics of the reference camera in words, one line each."""
     if outcome.fault:
-        return [f"no metric is known of the reference camera: {outcome.fault}"]
-    return [f"{name} is {NOT_KNOWN} of the reference camera: {why}" for name, why in outcome.unknown.items()]
+        return [f"no metric is known for the reference camera: {outcome.fault}"]
+    return [f"{name} is {NOT_KNOWN} for the reference camera: {why}" for name, why in outcome.unknown.items()]
 
 
 def _limits(table: Table) -> Iterator[str]:
@@ -169,11 +168,11 @@ def _limits(table: Table) -> Iterator[str]:
         held = sum(table.keeps(row, column, DOUBT) for row in known)
         bad = sum(not table.keeps(row, column, -DOUBT) for row in known)
         unsure = len(known) - held - bad
-        doubt = f"; {unsure} {'are' if unsure > 1 else 'is'} too near to it to tell" if unsure else ""
+        doubt = f"; {unsure} {'are' if unsure > 1 else 'is'} too close to it to decide" if unsure else ""
         if lacking := len(rows) - len(known):
-            doubt += f"; of {lacking} its value is {NOT_KNOWN}"
+            doubt += f"; for {lacking} its value is {NOT_KNOWN}"
         if not known:
-            yield f"Nothing is known of the limit {limit}{'' if rows else ' yet'}."
+            yield f"Nothing is known about the limit {limit}{'' if rows else ' yet'}."
         elif not bad:
             keeping = "all" if held == len(rows) else f"{held} of"
             yield f"The limit {limit} is held at {keeping} {len(rows)} cameras{doubt}."
@@ -200,14 +199,14 @@ def yield_in_words(table: Table) -> Iterator[str]:
     """Yield the share of cameras that keep the limits, or why a study with limits has none."""
     if good := table.yield_share():
         open_ones = len(table.drawn) - good.trials
-        doubt = f"; of {open_ones} more it is {NOT_KNOWN}, and the interval covers both cases" if open_ones else ""
+        doubt = f"; for {open_ones} more it is {NOT_KNOWN}, and the interval covers both cases" if open_ones else ""
         words = f"{good.good} of {good.trials} cameras keep the limits, {percent(good.value)} %"
         yield (
             f"Yield: {words if good.trials else NOT_KNOWN} "
             f"({CONFIDENCE} interval {percent(good.low)} to {percent(good.high)} %){doubt}."
         )
     elif table.limited and table.plan.study.design == "one_at_a_time":
-        yield 'No yield: every error is studied by itself; design = "sobol" with a count draws all of them together.'
+        yield 'No yield: each error is studied alone; design = "sobol" with a count draws all of them together.'
 
 
 def largest_changes(table: Table) -> Iterator[str]:
@@ -228,18 +227,18 @@ def largest_changes(table: Table) -> Iterator[str]:
         for row in (row for row in bound[i] if _known(row).unknown):
             ends = " and ".join(f"{end:+.3g}" for end in _ends_of(table, row))
             of = f"between {ends}{unit and ' ' + unit}"
-            yield f"Whether {name} keeps the limits {of} is {NOT_KNOWN}: {_known(row).unknown}."
+            yield f"It is {NOT_KNOWN} whether {name} keeps the limits {of}: {_known(row).unknown}."
     for i in (i for i in bound if not bound[i]):
         name, unit = name_and_unit(table.plan.axes[i].title)
         reach = " and ".join(f"{change_of(table, row):+.4g}" for row in sides[i])
         on_the_way = _on_the_way(table, sides[i])
         broken = {change for change, row in on_the_way if table.breaks(row, -DOUBT)}
         unsure = {change for change, row in on_the_way if not table.keeps_all(row, DOUBT)} - broken
-        studied = f"by {reach}{unit and ' ' + unit}, all that was studied"
+        studied = f"by {reach}{unit and ' ' + unit}, the whole studied range"
         if broken:
-            yield f"{name} keeps the limits when changed {studied}, but breaks one on the way, at {_changes(broken)}."
+            yield f"{name} keeps the limits when changed {studied}, but breaks one in between, at {_changes(broken)}."
         elif unsure:
-            yield f"{name} may change {studied}; it is left open whether limits are kept at {_changes(unsure)}."
+            yield f"{name} may change {studied}; the limits are undecided at {_changes(unsure)}."
         else:
             yield f"{name} may change {studied}: no limit is reached."
 
@@ -271,7 +270,7 @@ def _breaking(table: Table) -> Iterator[str]:
     titles = {axis.path: axis.title for axis in table.plan.axes}
     for path, value in table.breaking():
         if path not in searched:
-            yield f"By itself, {titles[path]} breaks a limit at {literal(value)}."
+            yield f"Changed alone, {titles[path]} breaks a limit at {literal(value)}."
 
 
 def _until(table: Table, rows: list[Row]) -> str:
@@ -301,7 +300,7 @@ def _tightness(table: Table, row: Row) -> float:
 def _span(table: Table, row: Row) -> str:
     found, change = _known(row), change_of(table, row)
     if not (found.column or found.unknown):
-        return f"{change:+.4g} (all that was studied)"
+        return f"{change:+.4g} (the whole studied range)"
     low, high = _ends_of(table, row)
     return f"{change:+.4g} ({'at least; not known from ' * bool(found.unknown)}{low:+.3g} to {high:+.3g})"
 
@@ -332,7 +331,7 @@ def tolerance_rows(table: Table) -> list[list[str]]:
         nearest = min(said.values(), key=abs, default=math.nan)
         predicted = NOT_KNOWN if math.isnan(nearest) else f"{nearest:+.4g}" if abs(nearest) <= abs(far) else "none"
         told = found.column or found.unknown
-        interval = f"{found.low - start:+.4g} to {found.high - start:+.4g}" if told else "all that was studied"
+        interval = f"{found.low - start:+.4g} to {found.high - start:+.4g}" if told else "the whole studied range"
         at = columns.get(found.column)
         at_limit = ["", "no limit is reached"] if at is None else [column_value(row, at), _limit(table, at)]
         at_limit[1] = f"{NOT_KNOWN} within the interval" if found.unknown else at_limit[1]
@@ -355,8 +354,8 @@ def budget_in_words(table: Table, budget: Budget) -> str:
     large = [effect for effect in resolved if budget.share(effect).value >= SMALL][:MOST_NAMED]
     small = len(resolved) - len(large)
     shares = [f"{names[e.axis]} {percent(*budget.share(e))} %" for e in large]
-    words = f"The mean square {_what(column)} is used up by {', '.join(shares)}" if shares else (
-        f"No parameter's own effect on {column.noun} is told from chance, and from what parameters do together"
+    words = f"The mean square {_what(column)} comes from {', '.join(shares)}" if shares else (
+        f"No parameter's own effect on {column.noun} is distinguishable from noise and joint effects"
     )  # fmt: skip
     if small and shares:
         words += f", {small} other{'s' if small > 1 else ''} less"
@@ -369,7 +368,7 @@ def budget_in_words(table: Table, budget: Budget) -> str:
         if math.isfinite(budget.drawn):
             words += f"; the cameras with all errors: {_amount(budget, budget.drawn)}"
     if budget.left_out:
-        words += f". {counted(budget.left_out, 'point')}, of which {column.noun} is {NOT_KNOWN}, left out"
+        words += f". {counted(budget.left_out, 'point')} left out, where {column.noun} is {NOT_KNOWN}"
     return words + "."
 
 
@@ -423,7 +422,7 @@ def _ends(table: Table) -> Iterator[str]:
         near = sum(not _told_apart(row, other, column) for other in ranked if other is not row)
         words = f"{which} by {column.noun}: {words_of(table, row)}, {value}{column.unit if value[0].isdigit() else ''}"
         others = f"{near} of {len(ranked) - 1} others {'is' if near == 1 else 'are'}"
-        yield f"{words}; {others} not told from it by errors." if near else f"{words}."
+        yield f"{words}; {others} equal to it within errors." if near else f"{words}."
 
 
 def _steepest(table: Table) -> Iterator[str]:
@@ -432,7 +431,7 @@ def _steepest(table: Table) -> Iterator[str]:
     known = [each for each in table.sensitivities() if each.column == column and each.slope.low * each.slope.high > 0.0]
     for each in sorted(known, key=lambda one: -abs(one.slope.value))[:3]:
         name, unit = name_and_unit(titles[each.path])
-        size = "of the size " if each.column.magnitude else ""
+        size = "of the magnitude " if each.column.magnitude else ""
         yield (
             f"{each.column.noun} changes by {each.slope.value:.3g}{each.column.unit} for each {unit or 'unit'} "
             f"{size}of {name} ({each.slope.low:.3g} to {each.slope.high:.3g})."

@@ -70,11 +70,11 @@ class StudyFile(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield faults between the fields."""
         if (self.scene is None) == (self.scenes is None):
-            yield Fault(("scene",), self.scene, "give one of scene and scenes")
+            yield Fault(("scene",), self.scene, "give either scene or scenes")
         if self.scenes is not None:
             yield from self._of_scenes()
         elif not self.axes and self.template is None:
-            yield Fault(("axes",), None, "missing: what varies; or give a template")
+            yield Fault(("axes",), None, "missing: the parameters that vary; or give a template")
         if self.template is not None and self.template not in TEMPLATES:
             yield Fault(("template",), self.template, f"must be one of {', '.join(TEMPLATES)}")
         if not self.metrics:
@@ -87,7 +87,7 @@ class StudyFile(Model):
             if name not in judged:
                 # It may belong to a misspelt metric, which is reported separately.
                 if known == self.metrics:
-                    valid = f"no column that can be limited{nearest(name, judged)}; {there_are}"
+                    valid = f"not a column that can be limited{nearest(name, judged)}; {there_are}"
                     yield Fault(("limits", name), limit, valid)
                 continue
             low, high = columns[name].reach
@@ -95,7 +95,7 @@ class StudyFile(Model):
                 yield Fault(("limits", name), limit, f"must be from {low:g} to {high:g}, as the column's values are")
         for i, each in enumerate(self.compensators):
             if each.metric not in judged and known == self.metrics:
-                valid = f"no column that can be made best{nearest(each.metric, judged)}; {there_are}"
+                valid = f"not a column that can be optimised{nearest(each.metric, judged)}; {there_are}"
                 yield Fault(("compensators", i, "metric"), each.metric, valid)
             if each.path in [other.path for other in self.compensators[:i]]:
                 yield Fault(("compensators", i, "path"), each.path, "is a compensator already")
@@ -120,7 +120,7 @@ class StudyFile(Model):
 
     def _of_scenes(self) -> Iterator[Fault]:
         if len(self.scenes or ()) < 2:
-            yield Fault(("scenes",), list(self.scenes or ()), "must name two scenes at least")
+            yield Fault(("scenes",), list(self.scenes or ()), "must name at least two scenes")
         for key in ("axes", "template"):
             if getattr(self, key):
                 yield Fault((key,), None, "omit it: the scenes themselves are the points")

@@ -189,7 +189,7 @@ def read_facts(path: Path) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, TypeError):
-        raise FileError(f"{path / FACTS} is damaged; delete it to go on with the units that are there") from None
+        raise FileError(f"{path / FACTS} is damaged; delete it to continue with the finished units") from None
     return known
 
 
@@ -214,7 +214,7 @@ def refuse_other(known: dict[str, Any], digest: str, path: Path) -> None:
     if known.get("digest") != digest:
         raise LfmeshError(
             f"{path} holds another study, or the scene, a file that it reads or the study file has changed since: give "
-            "another folder, or put back what it was"
+            "another folder, or restore the original"
         )
 
 

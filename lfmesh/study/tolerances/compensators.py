@@ -40,7 +40,7 @@ class Compensator(Model):
         """Yield the faults of the range."""
         low, high = self.range
         if not low <= 0.0 <= high or low == high:
-            yield Fault(("range",), [low, high], "must reach from 0 or less to 0 or more, and must not be empty")
+            yield Fault(("range",), [low, high], "must include 0, and must not be empty")
 
     @property
     def title(self) -> str:

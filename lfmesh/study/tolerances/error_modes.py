@@ -90,7 +90,7 @@ def manufacturing(scene: Scene) -> Ready:
     """Return the manufacturing errors of the array, both systematic and random between lenslets."""
     mla = scene.camera.mla
     if mla is None:
-        raise LfmeshError('template = "manufacturing": the errors are those of a microlens array, and there is none')
+        raise LfmeshError('template = "manufacturing": its errors need a microlens array, but the camera has none')
     form = "camera.mla.form"
     axes = [
         _axis(f"{form}.pitch_error", PITCH_ERROR, "pitch error"),
@@ -163,11 +163,11 @@ def template_text(name: str, scene: Scene, path: Path, folder: Path) -> str:
         There is no such template, or it does not fit the scene.
     """
     if name not in TEMPLATES:
-        raise LfmeshError(f"no template is called {name!r}{nearest(name, TEMPLATES)}; there are {', '.join(TEMPLATES)}")
+        raise LfmeshError(f"unknown template {name!r}{nearest(name, TEMPLATES)}; valid are {', '.join(TEMPLATES)}")
     ready = TEMPLATES[name](solved_camera(scene).scene)
     document = tomlkit.document()
     document.add(tomlkit.comment(f"{ABOUT[name]}, each by itself around the camera of {path.name}."))
-    document.add(tomlkit.comment("Edit what varies; lfmesh study --dry-run says what it will take."))
+    document.add(tomlkit.comment("Edit the values; lfmesh study --dry-run estimates the time."))
     document.add("scene", os.path.relpath(str(path), str(folder)))
     document.add("metrics", list(ready.metrics))
     document.add("design", "one_at_a_time")
@@ -194,7 +194,7 @@ ABOUT = {
     "assembly": "Installation errors of array, sensor, lens elements and stop",
     "manufacturing": "Manufacturing errors of the microlens array",
     "packets-and-splits": "Packets, splits, weight window and method against noise and time",
-    "sensor": "Errors of the sensor's place, and its reflectance",
+    "sensor": "Errors of the sensor's position, and its reflectance",
 }
 """Title of each template."""
 

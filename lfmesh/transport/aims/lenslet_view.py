@@ -120,8 +120,8 @@ def aim_through_lenslets(
     to_pupil = float(frame.points(moves[MLA_FRAME, CAMERA_FRAME], middle)[0, 2]) - report.exit_pupil_z_mm
     if to_pupil == 0.0:
         raise SceneError(
-            "camera.mla: the lens's exit pupil lies in the lenslets, where no light can be aimed at it; move the "
-            "array, or bring surfaces nearer than billions of mm, whose places are lost in rounding"
+            "camera.mla: the lens's exit pupil lies in the lenslets, so no light can be aimed at it; move the "
+            "array, or avoid distances of billions of mm, which are lost in rounding"
         )
     vergence = 1.0 / to_pupil if np.isfinite(to_pupil) else 0.0
     pupil = [0.0, 0.0, report.exit_pupil_z_mm if np.isfinite(to_pupil) else scene.camera.lens.vertices_mm[-1]]

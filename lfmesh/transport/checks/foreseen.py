@@ -46,9 +46,8 @@ def _folded(world: World) -> Iterator[PictureWarning]:
     if folded:
         whole = folded + sum(len(np.unique(tree.patches["facet"])) for tree in trees)
         yield FoldedPatchesWarning(
-            f"{folded} of {whole} facets of curved glass have normals that fit no smooth patch. Rays that graze them, "
-            "within what the facets stand off the curved surface, may go on as if there were no glass. Take finer "
-            "facets with normals that fit them (crease_deg has them estimated)"
+            f"{folded} of {whole} facets of curved glass have normals that fit no smooth patch, so grazing rays may "
+            "pass as if there were no glass. Use finer facets with fitting normals (crease_deg estimates them)"
         )
 
 
@@ -57,6 +56,6 @@ def _without_reflections(world: World) -> Iterator[PictureWarning]:
     transport = world.scene.transport
     if transport.engine == "sequential" and transport.split != "transmit":
         yield MissedLightWarning(
-            f'engine = "sequential" follows the image path alone: the picture lacks the reflections that split = '
-            f'"{transport.split}" asks for; take engine = "auto", or split = "transmit"'
+            'engine = "sequential" follows only the image path, so the picture lacks the reflections that split = '
+            f'"{transport.split}" asks for. Use engine = "auto", or split = "transmit"'
         )

@@ -58,8 +58,8 @@ CUT_SHARE = 1e-3
 """Share of the light that `max_events` may cut without a warning: of that reaching targets, if any, or emitted."""
 
 _AS_NOISE = (
-    "by samples that go anywhere, as noise that the error may not show; take many more samples, and compare with "
-    'method = "forward"'
+    "as noise that the error may not show, from samples that go in all directions. Take many more samples, and "
+    'compare with method = "forward"'
 )
 
 
@@ -82,8 +82,8 @@ def _black(image: "Image") -> Iterator[PictureWarning]:
     if not image.mean.any():
         out = _out_of_field(image.scene)
         yield BlackPictureWarning(
-            "no path found light, and the picture is black. lfmesh check names what is not lit or not in view; "
-            f"image.ledger says where the paths ended{'; out of the field: ' if out else ''}{', '.join(out)}"
+            "the picture is black: no path found light. lfmesh check names targets that are not lit or not in view; "
+            f"image.ledger lists where the paths ended{'; out of the field: ' if out else ''}{', '.join(out)}"
         )
 
 
@@ -143,40 +143,39 @@ def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
         meshes = scene.camera.lens.has_meshes
         why = "the lens has surfaces of mesh files" if meshes else "no ray from the stop could be traced to the sensor"
         yield LightOutsideAimWarning(
-            f"rays are not proven to be aimed at all light, as {why}: what is left out comes {_AS_NOISE}"
+            f"rays are not proven to be aimed at all light, because {why}. Light outside the aim comes {_AS_NOISE}"
         )
         return
     if proof.holds:
         return
     if proof.diffracted is not None and proof.diffracted.share > ALLOWED:
         yield LightOutsideAimWarning(
-            f"after diffraction, rays cannot be aimed at {percent(proof.diffracted.share)} of the light: so half of "
-            "them go anywhere, and the picture is noisier than that of other cameras; take more samples"
+            f"after diffraction, rays cannot be aimed at {percent(proof.diffracted.share)} of the light. Half of "
+            "them therefore go in all directions, which adds noise. Take more samples"
         )
     if proof.most <= ALLOWED:
         return
     if proof.missed <= ALLOWED:
         yield LightOutsideAimWarning(
-            f"rays may not be aimed at up to {percent(proof.most)} of the light that comes through the stop, of which "
-            f"{proof.rays} rays are too few to tell: it comes {_AS_NOISE}"
+            f"rays may miss up to {percent(proof.most)} of the light through the stop ({proof.rays} test rays cannot "
+            f"rule out less). That light comes {_AS_NOISE}"
         )
         return
-    missed = f"rays cannot be aimed at {percent(proof.missed)} of the light that comes through the stop"
+    missed = f"rays cannot be aimed at {percent(proof.missed)} of the light through the stop"
     if proof.fallback:
         yield LightOutsideAimWarning(
-            f"{missed}: so most of them go anywhere, and the picture is noisier than that of other cameras; take more "
-            "samples"
+            f"{missed}. Most of them therefore go in all directions, which adds noise. Take more samples"
         )
         return
-    yield LightOutsideAimWarning(f"{missed}: it comes {_AS_NOISE}")
+    yield LightOutsideAimWarning(f"{missed}. It comes {_AS_NOISE}")
 
 
 def _order(order: OrderCheck | None) -> Iterator[PictureWarning]:
     if order is None or order.compared == 0 or order.holds:
         return
     yield OrderCheckWarning(
-        f"surfaces of lens and array found by their order are not those found by their meshes: {order.words}; the "
-        'meshes alone are used, which takes longer; engine = "mesh" does so from the start'
+        f"sequential and mesh tracing of lens and array disagree: {order.words}. The slower meshes are used; engine "
+        '= "mesh" skips this test'
     )
 
 
@@ -190,7 +189,7 @@ def _blind(scene: Scene, blind: BlindCheck | None) -> Iterator[PictureWarning]:
     yield BlindCheckWarning(
         f"the picture is wrong by more than its error says. In one of {rows} × {columns} blocks of pixels, {others} "
         f"found {'more' if blind.worst > 0.0 else 'less'} light than it has, by {abs(blind.worst):.1f} standard "
-        f"errors. Do not use it: take many more samples, or compare with {other}"
+        f"errors. Do not use the picture. Take many more samples, or compare with {other}"
     )
 
 
@@ -208,14 +207,14 @@ def _remedy(scene: Scene, ledger: Ledger) -> str:
     words = ""
     if of_lens or any(body.solid is None for body in glass):
         words += (
-            "; glass from a mesh file loses least where its facets are small, its normals fit them (crease_deg has "
-            'them estimated) and its bodies do not touch; surface = "flat" takes the facets as they are'
+            ". For glass from a mesh file use finer facets and fitting normals (crease_deg estimates them), keep "
+            'bodies apart, or take surface = "flat", which traces the facets as they are'
         )
     # Walls and liquid of a tank are boxes, too, in a scene that is traced.
     if any(isinstance(body.solid, Box) for body in glass):
         words += (
-            "; a box loses light that meets its edges within rounding: less where it is so large (box_mm, or size_mm "
-            "of a tank) that its edges lie out of the light"
+            ". A box loses rays that meet its edges: enlarge it (box_mm, or size_mm of a tank) until its edges lie "
+            "out of the light"
         )
     return words
 
@@ -223,15 +222,15 @@ def _remedy(scene: Scene, ledger: Ledger) -> str:
 def _open(ledger: Ledger) -> Iterator[PictureWarning]:
     if abs(ledger.imbalance) > OPEN_SHARE:
         yield OpenLedgerWarning(
-            f"the energy does not close: {ledger.imbalance:.1e} of what was emitted is missing, and the picture is "
-            "wrong by about as much; this is a fault of lfmesh: please report the scene"
+            f"the energy ledger does not close: {ledger.imbalance:.1e} of the emitted energy is missing, and the "
+            "picture is wrong by about as much. This is a fault of lfmesh: please report the scene"
         )
 
 
 def _no_numbers(image: "Image") -> Iterator[PictureWarning]:
     if count := int(np.count_nonzero(~np.isfinite(image.mean))):
         yield OpenLedgerWarning(
-            f"{count} values of the picture are no numbers; this is a fault of lfmesh: please report the scene"
+            f"{count} values of the picture are not numbers. This is a fault of lfmesh: please report the scene"
         )
 
 
@@ -241,9 +240,8 @@ def _cut(scene: Scene, ledger: Ledger, most: float) -> Iterator[PictureWarning]:
     if not ledger.depth > most * whole:
         return
     yield CutPathsWarning(
-        f"paths that carry {percent(ledger.depth / whole)} of the light were cut after "
-        f"{scene.transport.max_events} events (max_events): the picture lacks what they would have brought; raise "
-        "transport.max_events"
+        f"paths with {percent(ledger.depth / whole)} of the light were cut after {scene.transport.max_events} events "
+        "(max_events), and the picture lacks their further light. Raise transport.max_events"
     )
 
 
@@ -253,8 +251,8 @@ def _heavy_paths(image: "Image") -> Iterator[PictureWarning]:
         return
     yield HeavyPathsWarning(
         f"few paths bring much of the light. In {percent(heavy.share)} of the blocks of {SIDE} × {SIDE} pixels one "
-        f"pixel holds much of it, up to {percent(heavy.held)}, by paths {plain(heavy.heavier, 2)} times as heavy as "
-        "the others'. Pixels that met none lack that light, and their errors are too small. Take many more samples"
+        f"pixel holds up to {percent(heavy.held)} of the light, from paths {plain(heavy.heavier, 2)} times as heavy "
+        "as the others. Pixels without such a path are too dark, and their errors too small. Take many more samples"
     )
 
 
@@ -269,9 +267,9 @@ def _unmet_paths(image: "Image") -> Iterator[PictureWarning]:
     lit = np.count_nonzero(image.hits)
     if unmet > UNMET_SHARE * lit:
         yield HeavyPathsWarning(
-            f"few paths bring much of the light. In {percent(unmet / lit)} of the pixels with light, one such path as "
-            f"their neighbours met would bring more than {UNMET:g} times what all others have brought. Pixels that met "
-            "none lack that light, which `upper` bounds and their errors do not tell. Take many more samples"
+            f"few paths bring much of the light. In {percent(unmet / lit)} of the pixels with light, one heavy path "
+            f"like those of their neighbours would bring more than {UNMET:g} times their present light. Without it "
+            "they are too dark; `upper` bounds the missing light, their errors do not. Take many more samples"
         )
 
 
@@ -297,10 +295,10 @@ def _interrupted(image: "Image") -> Iterator[PictureWarning]:
     whole, refined = image.scene.transport.replicates, image.refinement
     done = image.replicates if refined is None else refined.replicates
     stage = "replicates" if refined is None else "replicates of the second stage"
-    unknown = ", and the errors of its pixels are not known" if image.replicates < 2 else ""
+    unknown = ", and its errors are unknown" if image.replicates < 2 else ""
     yield InterruptedRenderWarning(
-        f"the render was cut short: {done} of {whole} {stage} were finished, {image.samples:.3g} samples a pixel. The "
-        f"picture is noisier than was asked for{unknown}; lfmesh render --resume goes on with a run folder"
+        f"the render was interrupted after {done} of {whole} {stage}, {image.samples:.3g} samples per pixel. The "
+        f"picture is noisier than requested{unknown}. lfmesh render --resume continues a run folder"
     )
 
 
@@ -308,7 +306,7 @@ def _few_samples(image: "Image") -> Iterator[PictureWarning]:
     share = few_hits_share(image, lit_pixels(image.mean))
     if share is not None and share > FEW_SHARE:
         yield TooFewSamplesWarning(
-            f"too few samples to tell the noise well. In {percent(share)} of the lit pixels less than {FEW_HITS} found "
-            "light. Edges, and light that few paths find, may be missing in picture and error. Take more "
-            f"samples than {image.samples:g} a pixel"
+            f"too few samples. In {percent(share)} of the lit pixels fewer than {FEW_HITS} samples found light, so "
+            "their noise estimate is unreliable, and edges or light on rare paths may be missing. Use more than "
+            f"{image.samples:g} samples per pixel"
         )

@@ -37,7 +37,7 @@ def lamp_lines(scene: Scene, targets: list[TargetMesh]) -> list[str]:
             lines.append(f"{where} profile: {light.ies}, {_in_words(profile, light.strength)}")
             if targets and not _shines_on(profile, light, targets):
                 lines.append(
-                    f"Note: {where}: its profile sends no light towards the corners and middles of facets of any target"
+                    f"Note: {where}: its profile sends no light towards the corners or centres of any target's facets"
                 )
         if scene.passbands:
             lines.append(f"{where} spectrum: {_spectrum(scene, number)}")

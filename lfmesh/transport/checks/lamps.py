@@ -41,17 +41,17 @@ def lamps_in_field(world: World) -> Iterator[PictureWarning]:
         light = world.scene.lights[number]
         if named == MOST_NAMED:
             yield MissedLightWarning(
-                f"lights[{number}] and perhaps more of the {len(world.scene.lights)} lights stand in the field; they "
-                "are not named one by one"
+                f"lights[{number}] and perhaps more of the {len(world.scene.lights)} lights stand in the field; only "
+                "the first is named"
             )
             return
         yield MissedLightWarning(
-            f"lights[{number}] stands in the field: lamps light targets, but are not seen, and the picture lacks its "
-            "own image; a target with radiance_w_m2_sr in its place is seen"
+            f"lights[{number}] stands in the field, but lamps only light targets and are not seen themselves. To see "
+            "it, replace it by a target with radiance_w_m2_sr"
         )
         if scatters and light.region is not None and light.region.thickness_mm > 0.0:
             yield HeavyPathsWarning(
-                f"lights[{number}], a {light.kind}, stands in the field of a scene with media that scatter. Where "
+                f"lights[{number}], a {light.kind}, stands in the field of a scene with scattering media. Where "
                 f"lines of sight cross the plane of the {light.kind}, few paths bring much of the light, and errors "
                 "and upper bounds of single pixels are too small. Take many more samples, or a point lamp"
             )
@@ -215,9 +215,9 @@ def lamps_at_targets(world: World) -> Iterator[PictureWarning]:
             if near < reach:
                 named += 1
                 yield HeavyPathsWarning(
-                    f"lights[{number}] stands {plain(near, 2)} mm from {named_target(world.scene, target)}, of which "
-                    "few samples meet the spot that it lights. The picture may be too dark, and its error too small. "
-                    f'Move the lamp {plain(reach, 2)} mm or more away, take more samples, or method = "forward"'
+                    f"lights[{number}] stands {plain(near, 2)} mm from {named_target(world.scene, target)}, and few "
+                    "samples meet the spot it lights. The picture may be too dark, and its error too small. Move the "
+                    f'lamp {plain(reach, 2)} mm or more away, take more samples, or use method = "forward"'
                 )
 
 
@@ -254,9 +254,9 @@ def narrow_beams(world: World) -> Iterator[PictureWarning]:
         if samples * seen < ENOUGH_ON_SPOT * 4.0 * np.prod(half):
             named += 1
             yield HeavyPathsWarning(
-                f"lights[{number}] lights a spot {plain(2.0 * np.sqrt(area / np.pi), 2)} mm wide on "
-                f"{named_target(world.scene, body)}, which few samples meet. The picture may be too dark, and its "
-                'error too small. Take a wider beam, more samples, or method = "forward"'
+                f"lights[{number}] lights a spot only {plain(2.0 * np.sqrt(area / np.pi), 2)} mm wide on "
+                f"{named_target(world.scene, body)}, and few samples meet it. The picture may be too dark, and its "
+                'error too small. Use a wider beam, more samples, or method = "forward"'
             )
 
 

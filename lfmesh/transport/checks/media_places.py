@@ -60,7 +60,7 @@ class MediumPlace:
         of_particles = self.what.startswith("particles")
         lines = [
             f"{self.name}: {self.what}",
-            f"  before the lens      {near:.5g} mm " + ("on, without an end" if endless else f"to {far:.5g} mm"),
+            f"  before the lens      {near:.5g} mm " + ("and beyond, unbounded" if endless else f"to {far:.5g} mm"),
             f"  {'in the field' if of_particles else 'share of the field':<20} {100 * self.share:.3g} %"
             + ("" if of_particles or endless else " at most"),
         ]
@@ -69,9 +69,9 @@ class MediumPlace:
         elif self.depths is not None:
             axis, most = self.depths
             lines.append(
-                f"  optical depth        {axis:.4g} along the axis, {most:.4g} the largest of {LINES} × {LINES} lines "
-                f"of sight over its part of the field, at {wavelength_nm:g} nm"
-                + ("; these are upper limits, of the box round it" if self.in_box else "")
+                f"  optical depth        {axis:.4g} on the axis, at most {most:.4g} on {LINES} × {LINES} lines of "
+                f"sight across its part of the field, at {wavelength_nm:g} nm"
+                + ("; these are upper limits, of the box around it" if self.in_box else "")
             )
         return lines + [f"Note: {self.name} {OUT_OF_FIELD}"] * (self.share == 0.0)
 
@@ -100,7 +100,7 @@ def _media(world: World) -> Iterator[MediumPlace]:
             "scatters": volumes.scattering[number, colour] > 0.0,
             "emits": bool(volumes.emission[number].any()),
         }
-        what = ", ".join(word for word, does in takes.items() if does) or "does nothing at this wavelength"
+        what = ", ".join(word for word, does in takes.items() if does) or "has no effect at this wavelength"
         to_camera = frame.compose(world.tables.frames[OBJECT_FRAME, CAMERA_FRAME], frame.inverse(row["to_own"]))
         corners = corners_of(row)
         if corners is None:
@@ -121,7 +121,7 @@ def _particles(world: World) -> Iterator[MediumPlace]:
         seen = frame.points(move, group.points)
         share = float((np.abs(in_field(seen, world.facts)) <= 1.0).all(axis=1).mean())
         reach = float(-seen[:, 2].max()), float(-seen[:, 2].min())
-        yield MediumPlace(f"particles[{group.entry}]", f"particles, {len(seen)} that shine", reach, share, None)
+        yield MediumPlace(f"particles[{group.entry}]", f"particles, {len(seen)} of them emitting", reach, share, None)
 
 
 def _depths(

@@ -42,7 +42,7 @@ def glass_round(objects: ObjectTables, targets: list[TargetMesh], points: Array)
             x, y, z = places[within & (count == MOST_AT_ONCE)][0]
             raise LfmeshError(
                 f"light starts at ({x:.4g}, {y:.4g}, {z:.4g}) mm, in more than {MOST_AT_ONCE} bodies of glass at once; "
-                f"it can be in {MOST_AT_ONCE}"
+                f"the limit is {MOST_AT_ONCE}"
             )
         number[within] |= objects.rank[body] << (BITS * count[within])
         count[within] += 1

@@ -98,11 +98,11 @@ def _named(scene: Scene, shining: list[tuple[int, int, float]]) -> Iterator[Miss
     if shining:
         lamp, target, off = shining[0]
         others = len({number for number, _, _ in shining}) - 1
-        more = f", as {others} more of the lights do onto theirs" if others else ""
+        more = f", as do {others} more lights" if others else ""
         yield MissedLightWarning(
-            f"lights[{lamp}] stands on {named_target(scene, target)} and shines onto it{more}. It is taken to stand "
-            f"{plain(off, 2)} mm off, and the light of the spot below it may be missed. Move it off the surface by "
-            "some tenths of a millimetre, or take a lamp that shines away from it"
+            f"lights[{lamp}] stands on {named_target(scene, target)} and shines onto it{more}. It is traced "
+            f"{plain(off, 2)} mm off the surface, and light of the spot below it may be missing. Move it some tenths "
+            "of a millimetre off the surface, or use a lamp that shines away from it"
         )
 
 

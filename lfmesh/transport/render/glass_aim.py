@@ -214,8 +214,8 @@ def refuse_unaimed(world: World) -> None:
     proof = glass_aim(world)[1]
     if proof is not None and proof.missed > TOO_MUCH and world.scene.transport.method == "forward":
         raise SceneError(
-            f'transport.method = "forward" cannot aim {percent(proof.missed)} of the light at the lens, which '
-            'comes through glass, or off it, in too many ways: take "adjoint"'
+            f'transport.method = "forward" cannot aim {percent(proof.missed)} of the light at the lens, because it '
+            'passes or reflects off glass on too many paths; use "adjoint"'
         )
 
 
@@ -231,11 +231,11 @@ def hardly_aimed(world: World) -> list[str]:
     if proof is None or proof.missed <= FEW:
         return []
     forward = world.scene.transport.method == "forward"
-    light = "the light" if forward else "what is traced forward, of lamps through glass and of particles,"
+    light = "the light" if forward else "the light traced forward (of lamps through glass, and of particles)"
     return [
-        f"{percent(proof.missed)} of {light} comes to the lens through glass, or off it, in ways at which few "
-        "packets are aimed: the picture may be too dark by more than its error says, above all where glass has edges"
-        + ('; method = "adjoint" has no such trouble' if forward else "")
+        f"{percent(proof.missed)} of {light} reaches the lens through glass, or reflected by it, on paths at which "
+        "few packets are aimed. The picture may be too dark by more than its error says, most of all at edges of "
+        "glass" + ('. Use method = "adjoint"' if forward else "")
     ]
 
 

@@ -110,7 +110,7 @@ class Image(Pictured):
         rows, columns, channels = self.mean.shape
         return (
             f"<Image: {columns} × {rows} pixels, {counted(channels, 'wavelength')}, "
-            f"{self.replicates} of {self.scene.transport.replicates} replicates, {self.samples:g} samples a pixel, "
+            f"{self.replicates} of {self.scene.transport.replicates} replicates, {self.samples:g} samples per pixel, "
             f"{self.mean.sum():.4g} W in all>"
         )
 

@@ -125,7 +125,7 @@ def untraced_light(
     if untraced is None:
         raise LfmeshError(
             f'transport.diffraction = "{world.scene.transport.diffraction}": particles are pictured by point spreads, '
-            "which lf.render computes, and this render has none"
+            "which only lf.render computes"
         )
     return untraced(world, progress)
 

@@ -412,7 +412,7 @@ class Layout:
         try:
             state: RenderState = filled(RenderState(self.stage(), second, partial=partial), saved)
         except ValueError as error:
-            raise LfmeshError(f"the state that was saved is not that of this scene's render: {error}") from None
+            raise LfmeshError(f"the saved state belongs to another render: {error}") from None
         return state
 
     def _work(self) -> Work:

@@ -107,8 +107,8 @@ def _tabulated(
     except TooManyPiecesError as error:
         if measured is not None:
             raise SceneError(
-                f"coatings.{name}.{coating.kind}: its reflectance changes too fast from angle to angle to be followed "
-                f"(error {error.args[0]:.1g}, {ALLOWED_MEASURED:g} is allowed); smooth it, or give fewer angles"
+                f"coatings.{name}.{coating.kind}: its reflectance changes too fast between angles to be interpolated "
+                f"(error {error.args[0]:.1g}, limit {ALLOWED_MEASURED:g}); smooth it, or give fewer angles"
             ) from None
         raise SceneError(
             f"coatings.{name}: its reflectance changes too fast with the angle for a table (error "
@@ -137,7 +137,7 @@ def _at_wavelength(
         shortest, longest = measured.wavelengths_nm[[0, -1]]
         if not shortest <= wavelength_nm <= longest:
             raise SceneError(
-                f"coatings.{name}.{coating.kind}: it reaches from {shortest:g} to {longest:g} nm, and the scene has "
+                f"coatings.{name}.{coating.kind}: it extends from {shortest:g} to {longest:g} nm, but the scene has "
                 f"{wavelength_nm:g} nm"
             )
         return tabulated(lambda u, total: measured.at(wavelength_nm, u * u)[None], False, least, ALLOWED_MEASURED)

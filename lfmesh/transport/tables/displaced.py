@@ -28,14 +28,14 @@ def refuse_displaced(boundary: Array, where: str, hosts: Hosts, body: int | None
         touching = hosts.touching_mm(boundary, [body])
         its = hosts.corners[body]
         if not (_reaches_into(boundary, its, touching) or _reaches_into(its, boundary, touching)):
-            raise SceneError(f"{where}: lies wholly outside {hosts.names[body]}, which it is inside: move it")
+            raise SceneError(f"{where}: lies wholly outside {hosts.names[body]}, which inside names: move it")
         return
     tops = hosts.top_along(boundary, just_inside=True)
     if None in tops or _holds_a_hollow(boundary, hosts):
         return
     name = hosts.names[tops[0] or 0]
     raise SceneError(
-        f'{where}: lies inside {name}, which displaces what is round it; give inside = "{name}", or move it'
+        f'{where}: lies inside {name}, which displaces its surroundings; give inside = "{name}", or move it'
     )
 
 

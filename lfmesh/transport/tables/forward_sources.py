@@ -137,8 +137,8 @@ def _emitting_volumes(scene: Scene, volumes: Volumes | None) -> list[Entry]:
             entries.append((-1, FIRST_VOLUME - number, power, power))
         elif power > 0.0 and scene.transport.method == "forward":
             raise SceneError(
-                f'media[{number}]: emits without bounds, where method = "forward" cannot start light; give it bounds, '
-                'or take method = "adjoint"'
+                f'media[{number}]: emits without bounds, so method = "forward" cannot start light in it; give it '
+                'bounds, or use method = "adjoint"'
             )
     return entries
 

@@ -49,11 +49,11 @@ def _refuse_lower_index(scene: Scene, number: int, target: TargetMesh, hosts: Ho
     if gloss is not None and gloss.index is not None and gloss.index < most:
         raise SceneError(
             f"targets[{number}].material.gloss.index = {gloss.index:g}: must not be below that of {where}, {most:.6g}, "
-            "which the target reaches into: keep it clear of that, or give a higher index"
+            "into which the target reaches: move the target out of it, or give a higher index"
         )
     if any(each.metallic < 1.0 for each in target.materials) and most > DIELECTRIC_INDEX:
         raise SceneError(
             f"targets[{number}].file = {given.file!r}: the gloss of glTF materials has the index "
-            f"{DIELECTRIC_INDEX:g}, which must not be below that of {where}, {most:.6g}, which the target reaches "
-            'into; give materials = "ignore", and material'
+            f"{DIELECTRIC_INDEX:g}, which must not be below that of {where}, {most:.6g}, into which the target "
+            'reaches; give materials = "ignore", and material'
         )

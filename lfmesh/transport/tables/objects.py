@@ -328,8 +328,8 @@ def with_volumes(
     reach, endless = reach_of(volumes)
     if endless and not tables.lamps.rows["placed"].all():
         raise SceneError(
-            "media: a directional light comes from afar, and nothing of it through a medium without bounds; give "
-            "the medium bounds, or another light"
+            "media: a directional light comes from infinity, so nothing of it passes a medium without bounds; give "
+            "the medium bounds, or use another light"
         )
     lit = tables.lit_radius
     if volumes.scatters:
@@ -348,7 +348,7 @@ def _refuse_touched_finishes(scene: Scene, bodies: NDArray[np.int64], first: NDA
         if glass is not None and glass.coating != UNCOATED:
             raise SceneError(
                 f'targets[{i}].refractor.coating = "{glass.coating}": a coated body must not touch another body of '
-                "glass; leave a gap between them, or the coating out"
+                "glass; leave a gap between them, or omit the coating"
             )
         if glass is not None and glass.finish.is_rough:
             raise SceneError(

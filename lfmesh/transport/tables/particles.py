@@ -92,8 +92,8 @@ def _index_round(group: Particles, media: Media, numbers: Numbers, where: str) -
     if group.phase.depends_on_surroundings and (indices != indices[0]).any():
         found = ", ".join(f"{index:.6g}" for index in indices[:, 0])
         raise SceneError(
-            f"{where}: its particles lie in media of the refractive indices {found}, by which spheres scatter "
-            "differently; give an entry to each medium, or phase.surrounding_index"
+            f"{where}: its particles lie in media of the refractive indices {found}, in which spheres scatter "
+            "differently; give one entry for each medium, or phase.surrounding_index"
         )
     return np.asarray(indices[0])
 

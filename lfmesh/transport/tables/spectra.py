@@ -31,7 +31,7 @@ def reflectance_at(scene: Scene, number: int, wavelengths_nm: tuple[float, ...])
     curve = curve_of(scene.targets[number].material.reflectance, reach_nm, scene, where)
     if curve.values.max() > 1.0:
         at = curve.wavelengths_nm[curve.values.argmax()]
-        raise SceneError(f"{where}: value {curve.values.max():g} at {at:g} nm: a reflectance is from 0 to 1")
+        raise SceneError(f"{where}: value {curve.values.max():g} at {at:g} nm: a reflectance must lie between 0 and 1")
     return curve.at(wavelengths_nm)
 
 
@@ -109,5 +109,5 @@ def spread(scene: Scene, total: float, shape: Spectrum | None, lines: Lines, whe
     curve = curve_of(shape, lines.span_nm, scene, where)
     if not curve.integral(*lines.span_nm) > 0.0:
         first, last = lines.span_nm
-        raise SceneError(f"{where}: it has no power from {first:g} to {last:g} nm, to which the bands reach")
+        raise SceneError(f"{where}: it has no power from {first:g} to {last:g} nm, the range of the bands")
     return lines.power(total, curve)

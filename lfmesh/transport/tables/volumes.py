@@ -394,14 +394,14 @@ def _grid_of(scene: Scene, medium: Medium, where: str) -> VoxelGrid | None:
     for key in grid.values:
         beside = getattr(medium, key)
         if beside is not None and beside != 0.0:
-            raise SceneError(f"{where}.{key}: {given.file} holds it by voxels; give one of them")
+            raise SceneError(f"{where}.{key}: {given.file} gives it by voxels; give one of them")
     own = "temperature_k" if "temperature_k" in grid.values else "emission_w_mm3_sr"
     if own in grid.values and (medium.temperature_k is not None or medium.emission_w_mm3_sr != 0.0):
-        raise SceneError(f"{where}: {given.file} holds {own}, and the medium another emission; give one of them")
+        raise SceneError(f"{where}: {given.file} holds {own}, but the medium has another emission; give one of them")
     if own == "temperature_k" and scene.camera.sensor.bands is None:
         raise SceneError(f"{where}.grid: temperature_k needs camera.sensor.bands: single wavelengths have no width")
     if own == "temperature_k" and "absorption_per_mm" not in grid.values and medium.absorption_per_mm == 0.0:
-        raise SceneError(f"{where}.grid: temperature_k needs absorption_per_mm: what absorbs nothing emits nothing")
+        raise SceneError(f"{where}.grid: temperature_k needs absorption_per_mm: without absorption no emission")
     return grid
 
 
@@ -410,7 +410,7 @@ def _coefficient(scene: Scene, value: float | Spectrum, lines: Lines, where: str
     ends = min(lines.wavelengths_nm), max(lines.wavelengths_nm)
     found = curve_of(value, ends, scene, where).at(lines.wavelengths_nm)
     if (found < 0.0).any():
-        raise SceneError(f"{where}: value {found.min():g}: a coefficient is 0 or more")
+        raise SceneError(f"{where}: value {found.min():g}: a coefficient must be 0 or more")
     return found
 
 
@@ -441,7 +441,7 @@ def _refuse_behind_lens(row: np.void, where: str, moves: Array, shell: Array | N
         axis = to_camera[2, :3]
         behind = to_camera[2, 3] + row["size"][2] * abs(axis[2]) + row["size"][0] * np.hypot(axis[0], axis[1])
     if behind > ROUNDING * np.abs(placed).max():
-        raise SceneError(f"{where} reaches {behind:.6g} mm behind the first lens vertex; a medium stays in front of it")
+        raise SceneError(f"{where} reaches {behind:.6g} mm behind the first lens vertex; a medium must stay before it")
 
 
 def corners_in_camera(volumes: Volumes | None, moves: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from lfmesh.view.rays.ghosts import GhostPair
 
-GHOST_HEADS = ("ghost", "power / {unit}", "±", "of the sensor's", "origin")
+GHOST_HEADS = ("ghost", "power in {unit}", "±", "of the sensor's", "origin")
 
 
 def ghost_cells(pair: GhostPair) -> list[str]:

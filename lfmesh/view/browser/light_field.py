@@ -96,7 +96,7 @@ class LightFieldPanel:
         state.raw_centres = picture.centres_shown().round(5).tolist() if wished else []
         state.raw_spots = pitch < CIRCLES_FROM_PX
         state.raw_radius = 0.5 * picture.pitch_px / part.width
-        lenslets = f", micro-images' pitch {picture.pitch_px:.4g} px" if picture.pitch_px else ""
+        lenslets = f", micro-image pitch {picture.pitch_px:.4g} px" if picture.pitch_px else ""
         shown = "" if part == picture.all else f"{part.width} × {part.height} of "
         state.raw_note = f"{shown}{picture.columns} × {picture.rows} px{lenslets}"
         if self._marked is not None:

@@ -50,14 +50,14 @@ HEADS = {
     "path": "path",
     "short": "sequence",
     "count": "count",
-    "power": "power / {unit}",
+    "power": "power in {unit}",
     "share": "share",
     "error": "±",
-    "irradiance": "peak / {unit}\N{NO-BREAK SPACE}mm⁻²",
+    "irradiance": "peak in {unit}/mm²",
 }
 """Visible columns of the path table, with their headings."""
 
-STEP_HEADS = ["surface", "event", "angle / °", "R", "T", "power / {unit}", "goes on in", "x, y, z / mm", "roulette"]
+STEP_HEADS = ["surface", "event", "angle in °", "R", "T", "power in {unit}", "medium", "x, y, z in mm", "roulette"]
 """Headings of a history's table."""
 
 
@@ -416,7 +416,7 @@ def _step_cells(step: Step) -> list[str]:
         *shares,
         f"{step.power:.3e}",
         step.medium,
-        ", ".join(f"{place:.2f}" for place in step.position_mm),
+        ", ".join(f"{place:z.2f}" for place in step.position_mm),
         f"× {step.roulette:.4g}" if step.was_raised else "",
     ]
 

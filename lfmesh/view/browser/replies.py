@@ -8,7 +8,7 @@ from typing import Any
 
 from lfmesh.errors import LfmeshError
 
-OWN_MISTAKE = "lfmesh made a mistake of its own; the terminal says where."
+OWN_MISTAKE = "Internal error of lfmesh; the terminal has the details."
 
 
 class Replies:

@@ -113,7 +113,7 @@ def refuse_to_serve(host: str, port: int) -> None:
         The port is taken, the host is not an address of this machine, or the extra `browser` is missing.
     """
     if not 0 <= port <= 65535:
-        raise LfmeshError(f"port = {port}: must be from 1 to 65535, or 0 for any that is free")
+        raise LfmeshError(f"port = {port}: must be from 1 to 65535, or 0 for any free port")
     try:
         import aiohttp  # noqa: F401
         import trame_server  # noqa: F401
@@ -198,10 +198,10 @@ def _refuse_taken(host: str, port: int) -> None:
 
 def _cannot_bind(fault: OSError, host: str, port: int) -> LfmeshError:
     if fault.errno == errno.EADDRINUSE:
-        return LfmeshError(f"port = {port}: another program listens there; choose another, or 0 for any that is free")
+        return LfmeshError(f"port = {port}: another program listens there; choose another, or 0 for any free port")
     if fault.errno in (errno.EACCES, errno.EPERM):
         return LfmeshError(f"port = {port}: may not be used by this user; choose one above 1023, or 0")
-    return LfmeshError(f"host = {host}: is not an address of this machine; leave it out to serve this machine alone")
+    return LfmeshError(f"host = {host}: is not an address of this machine; omit it to serve this machine only")
 
 
 def _in_address(host: str) -> str:
@@ -213,7 +213,7 @@ def _in_address(host: str) -> str:
 
 def _warn_of_others(host: str) -> None:
     print(
-        f"lfmesh: host = {host} lets other machines reach the page. Whoever has its address with the token sees all of "
-        "it, and what travels is not encrypted.",
+        f"lfmesh: host = {host} lets other machines reach the page. Anyone who has its address with the token sees all "
+        "of it, and the connection is not encrypted.",
         file=sys.stderr,
     )

@@ -47,7 +47,7 @@ START, NAMES_ITS_TAB = "/index.html", '<script src="lfmesh/tab.js"></script>'
 
 _TAB = re.compile(r"[0-9a-f]{32}")
 
-FULL = f"lfmesh serves {MOST_PAGES} pages at a time, which are open. Close one of them, then load this one again."
+FULL = f"lfmesh serves {MOST_PAGES} pages at a time, and all of them are open. Close one, then reload this one."
 
 
 class Shown(Protocol):

@@ -7,7 +7,7 @@ from lfmesh.view.scene3d import pick
 from lfmesh.view.scene3d.describe import describe
 from lfmesh.view.scene3d.plotter import View
 
-KEYS = "keys: F1–F{last} views, x cut, q quit; a click says what is there"
+KEYS = "keys: F1–F{last} views, x cut, q quit; click a part to identify it"
 
 
 def open_window(view: View) -> None:
@@ -65,7 +65,7 @@ def pixel_in_words(view: View, picked: pick.PickedPixel) -> list[str]:
     if view.lines is not None:
         rays = view.lines.rays
         on = (rays.pixel == [picked.row, picked.column]).all(axis=1)
-        words.append(f"of the rays shown, {int(on.sum())} paths end here, {rays.end_power[on].sum():.3e} {rays.unit}")
+        words.append(f"paths shown that end here: {int(on.sum())}, {rays.end_power[on].sum():.3e} {rays.unit}")
     return [*words, f'its own rays:   --rays "pixel {picked.row},{picked.column}"']
 
 

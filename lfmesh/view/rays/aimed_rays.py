@@ -148,8 +148,8 @@ class Aim:
         straight, turned = self.paraxial.to_stop.a, self._stop_by_slope * self.vergence
         if abs(straight + turned) <= ROUNDING * (abs(straight) + abs(turned)):
             raise LfmeshError(
-                "the stop is imaged onto the object plane: all rays of an object point meet it in one point, so that "
-                "none can be aimed at others; mark another surface as the stop"
+                "the stop is imaged onto the object plane: all rays of an object point meet the stop at one point, so "
+                "they cannot be aimed across it; mark another surface as the stop"
             )
         return straight + turned
 

@@ -40,7 +40,7 @@ DASH, PLUS_MINUS = "\N{EN DASH}", "\N{PLUS-MINUS SIGN}"
 SHOWN = 10
 """Number of printed ghosts."""
 
-BY_QUADRATURE = "Origin quadrature: the pair's sequences are integrated over the pupil; ± is the error of that."
+BY_QUADRATURE = "Origin quadrature: the pair's sequences are integrated over the pupil; ± is the error of the integral."
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class ExactGhosts:
         lit = [row for row in self.ghosts if row.power > 0.0]
         lines = [f"{'ghost':<10}{'power/W':>11}{'error/W':>10}{'of image':>10}{'focus/mm':>11}"]
         for row in lit[:most]:
-            focus = f"{row.focus_mm:.2f}" if math.isfinite(row.focus_mm) else "-"
+            focus = f"{row.focus_mm:z.2f}" if math.isfinite(row.focus_mm) else "-"
             share = f"{row.power / self.image.power:.1e}" if self.image.power > 0.0 else "-"
             lines.append(f"{DASH.join(row.mirrors):<10}{row.power:11.4e}{row.error:10.1e}{share:>10}{focus:>11}")
         if len(lit) > most:
@@ -133,7 +133,7 @@ class ExactGhosts:
         lines += [
             f"image path {self.image.power:.5e} W {PLUS_MINUS} {self.image.error:.0e}; two reflections in the "
             f"{self.mirrors} {self.power:.4e} W {PLUS_MINUS} {self.error:.0e}",
-            f"by quadrature over the pupil; focus from the last vertex, the {what} is at {self.image_plane_mm:.2f} mm",
+            f"by quadrature over the pupil; focus from the last vertex, the {what} is at {self.image_plane_mm:z.2f} mm",
         ]
         return lines
 
@@ -212,18 +212,18 @@ def refusal(world: World, points_mm: ArrayLike) -> str | None:
         return "transport.polarisation = true: sequences are followed without polarisation"
     if (number := scene.camera.lens.number_off_revolution) is not None:
         key = scene.camera.lens.surfaces[number].section_key
-        return f"camera.lens.surfaces[{number}].{key}: sequences are followed through surfaces of revolution alone"
+        return f"camera.lens.surfaces[{number}].{key}: sequences are followed through surfaces of revolution only"
     for name in ("media", "particles", "tanks"):
         if getattr(scene, name):
-            return f"{name} stand between field points and lens, through which sequences are not followed"
+            return f"{name} stand between field points and lens; sequences are not followed through them"
     if (rough := refused_in_order(scene)) is not None:
         return rough
     clear = [number for number in range(len(world.targets)) if not is_opaque(world, number)]
     for point in _in_camera(world, points_mm):
         for number in in_the_way(world, point, clear) if point[2] < world.tables.lens.box_low[2] else ():
             return (
-                f"{named_target(scene, number)} stands between a field point and the lens and lets light through, "
-                "along paths that no sequence follows"
+                f"{named_target(scene, number)} stands between a field point and the lens and transmits light along "
+                "paths that no sequence follows"
             )
     return None
 
@@ -250,14 +250,14 @@ def origin_in_words(rays: Rays, *, is_whole: bool) -> str:
         Whether the filter keeps all of them.
     """
     if rays.field is None:
-        why = "they are integrated for rays of field points alone"
+        why = "only rays from field points are integrated"
     elif (obstacle := refusal(rays.world, rays.field.points_mm)) is not None:
         why = obstacle
     elif not is_whole:
-        why = "a filter chooses among the rays, and what is integrated over the pupil it cannot divide"
+        why = "a filter selects rays, and an integral over the pupil cannot be filtered"
     else:
         return BY_QUADRATURE
-    return f"All from the rays, ± the standard error: {why}."
+    return f"All powers are from the rays, ± their standard error: {why}."
 
 
 def _brought(

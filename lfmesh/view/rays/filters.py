@@ -142,7 +142,7 @@ def parse(expression: str, rays: Rays) -> Mask:
         The expression is invalid, or names something that the scene lacks.
     """
     if len(expression) > LONGEST:
-        reason = f"an expression of {len(expression)} characters; {LONGEST} are the most, and this is how it begins"
+        reason = f"an expression of {len(expression)} characters; the limit is {LONGEST}, and it begins as follows"
         raise FilterError(expression[:60], 0, reason)
     if not expression.strip():
         return np.ones(len(rays), np.bool_)
@@ -173,7 +173,7 @@ def _tokens(expression: str) -> list[_Token]:
             number = re.match(r"[\w.]+", expression[at:])
             if number:
                 raise FilterError(expression, at, f"{number[0]!r} is neither a number nor a name")
-            raise FilterError(expression, at, f"{wrong!r} means nothing here{hint}")
+            raise FilterError(expression, at, f"{wrong!r} is not valid here{hint}")
         kind = str(found.lastgroup)
         tokens.append(_Token(kind, found[kind], found.start(kind)))
         at = found.end()
@@ -228,7 +228,7 @@ class _Reader:
             if token.text in self.places:
                 raise self.mistake(token, f"{token.text} is a surface: ask hits({token.text}), or reflects, transmits")
             valid = ["ghost", *FUNCTIONS, *FIELDS]
-            raise self.mistake(token, f"nothing is called {token.text!r} here{self.valid(token.text, valid)}")
+            raise self.mistake(token, f"unknown name {token.text!r}{self.valid(token.text, valid)}")
         return self.pixel() if token.text == "pixel" else self.comparison(token.text)
 
     def met(self, event: Event | None) -> Mask:
@@ -287,7 +287,7 @@ class _Reader:
         """Read ``"in" "(" range "," range ")"`` or ``"==" "(" row "," column ")"`` after "pixel"."""
         sign = self.next
         if sign.text not in ("in", "==", "!="):
-            raise self.mistake(sign, "pixel goes pixel in (row:row, column:column), or pixel == (row, column)")
+            raise self.mistake(sign, "write pixel in (row:row, column:column), or pixel == (row, column)")
         self.at += 1
         self.expect("(")
         sensor = self.rays.world.tables.sensor
@@ -315,14 +315,14 @@ class _Reader:
         if first is not None and (single or self.next.text != ":"):
             chosen = range(first, first + 1)
         elif single:
-            raise self.mistake(token, f"one {axis} is meant here: pixel == (row, column)")
+            raise self.mistake(token, f"give a single {axis} here: pixel == (row, column)")
         else:
             self.expect(":")
             end = size if self.next.text in (",", ")") else self.whole(axis)
             chosen = range(first or 0, end)
         if not len(chosen) or chosen.start >= size:
             what = f"{chosen.start}:{chosen.stop}" if len(chosen) != 1 else str(chosen.start)
-            empty = "holds nothing: a range goes from its first to before its end" if not len(chosen) else "is outside"
+            empty = "is empty: a range does not include its end" if not len(chosen) else "is outside"
             raise self.mistake(token, f"{axis} {what} {empty}; the sensor has {axis}s 0 to {size - 1}")
         return chosen
 
@@ -330,9 +330,9 @@ class _Reader:
         """Read a non-negative integer."""
         token = self.next
         if not token.text.isdecimal():
-            raise self.mistake(token, f"the number of a {axis} is missing, a whole one from 0 on")
+            raise self.mistake(token, f"the number of a {axis} is missing: a whole number from 0")
         if len(token.text) > MOST_DIGITS:
-            raise self.mistake(token, f"the number of a {axis} has {MOST_DIGITS} digits at most")
+            raise self.mistake(token, f"the number of a {axis} has at most {MOST_DIGITS} digits")
         self.at += 1
         return int(token.text)
 

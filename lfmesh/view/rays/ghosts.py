@@ -45,7 +45,7 @@ SIZE_IN, DPI = (10.6, 6.5), 120
 
 LETTERS_A_LINE = 130
 
-DARK = "no light of these rays reaches the sensor, so that there is no ghost to draw; look for a target in their way"
+DARK = "no light of these rays reaches the sensor, so there is no ghost to draw; check for a target in their way"
 """Reason for a missing figure."""
 
 
@@ -191,9 +191,7 @@ class GhostMatrix:
         if self.total == 0.0:
             raise LfmeshError(DARK)
         if not (self.power > 0.0).any():
-            raise LfmeshError(
-                'no ghost of two reflections is among the rays: launch with split = "both", and more of them'
-            )
+            raise LfmeshError('the rays contain no ghost of two reflections: launch more of them, with split = "both"')
         return np.asarray(self.power / self.total)
 
 
@@ -244,7 +242,7 @@ def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
     integrated, quadrature_error = np.zeros_like(power), np.zeros_like(power)
     if exact is not None:
         if not rays.reflected.any():
-            source = "left out, as no ray was followed through a reflection"
+            source = "left out, because no ray was followed through a reflection"
         total += exact.image.power + exact.power
         for row in exact.ghosts:
             integrated[row.path.mirrors] += row.power

@@ -247,7 +247,7 @@ def from_light(
         known = f"it has lights[0] to lights[{lights - 1}]" if lights else "it has none"
         raise LfmeshError(f"lights[{number}] is not in the scene: {known}")
     if not len(world.scene.targets):
-        raise LfmeshError(f"lights[{number}] lights nothing: the scene has no targets")
+        raise LfmeshError(f"lights[{number}] illuminates nothing: the scene has no targets")
     objects = world.tables.objects
     sources = objects.sources[objects.sources["light"] == number].copy()
     sources["share"] = sources["until"] = 1.0
@@ -296,7 +296,7 @@ def as_in_run(
     if transport.method == "adjoint":
         return _from_pixels(world, range(sensor.rows), range(sensor.columns), settings)
     if not len(world.tables.objects.sources):
-        raise LfmeshError("nothing shines: the scene has neither lights nor targets with radiance_w_m2_sr")
+        raise LfmeshError("nothing emits: the scene has neither lights nor targets with radiance_w_m2_sr")
     return _from_sources(world, world.aimed_tables, replace(settings, count=min(settings.count, most)))
 
 
@@ -426,7 +426,7 @@ def _settings(
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise LfmeshError(f"count = {count!r}: must be a whole number of rays, at least 1")
     if count > MOST_RAYS:
-        raise LfmeshError(f"count = {literal(int(count))}: paths of {MOST_RAYS:,} rays at most can be kept; give fewer")
+        raise LfmeshError(f"count = {literal(int(count))}: paths of at most {MOST_RAYS:,} rays can be kept; give fewer")
     if split not in SPLIT_MODE:
         raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
     cutoff = world.scene.transport.weight_cutoff if weight_cutoff is None else weight_cutoff

@@ -12,8 +12,8 @@ from lfmesh.view.rays.paths import Rays
 FORMS = {
     "field": "field x,y,z        a point of object space, mm, world frame",
     "pixel": "pixel row,column   against the light",
-    "pixels": "pixels r:r,c:c     a box of pixels, rows and columns as Python slices: the end is not in it",
-    "light": "light number       one of the scene's lights alone",
+    "pixels": "pixels r:r,c:c     a box of pixels, rows and columns as Python slices: the end is excluded",
+    "light": "light number       one of the scene's lights",
     "run": "run                as the scene's transport.method launches them",
 }
 """Forms that `launch` accepts, one line each."""
@@ -77,9 +77,9 @@ def _read_spec(spec: str) -> tuple[str, list[str]]:
     forms = "\n  ".join(FORMS.values())
     if kind not in FORMS:
         near = difflib.get_close_matches(kind, FORMS, 1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise LfmeshError(f"launch {spec!r}: no way to launch is called {kind!r}{hint} There are:\n  {forms}")
+        hint = f"; did you mean {near[0]!r}?" if near else "."
+        raise LfmeshError(f"launch {spec!r}: unknown launch {kind!r}{hint} Valid are:\n  {forms}")
     found = re.fullmatch(_PATTERNS[kind], re.sub(r"\s+", "", rest))
     if not found:
-        raise LfmeshError(f"launch {spec!r}: cannot be read; it goes\n  {FORMS[kind]}")
+        raise LfmeshError(f"launch {spec!r}: cannot be read; write\n  {FORMS[kind]}")
     return kind, list(found.groups())

@@ -30,14 +30,14 @@ def describe(world: World, name: str) -> Rows:
     if name in (f"surface[{i}]" for i in thin):
         return _thin_lens(world, int(number))
     if name == "mount":
-        return [("mount", "absorbs what leaves the clear apertures between the elements")]
+        return [("mount", "absorbs light outside the clear apertures between the elements")]
     several = {"lens": (_element, len(world.lens_shape.elements)), "targets": (_target, len(world.targets)),
                "lights": (_light, len(world.scene.lights)),
                "particles": (_particles, len(world.scene.particles)),
                "media": (_medium_round, len(world.scene.media))}  # fmt: skip
     if kind in several and number.isdecimal() and int(number) < several[kind][1]:
         return several[kind][0](world, int(number))
-    raise LfmeshError(f"no part is called {name!r}; there are {', '.join(world.mesh_names)}")
+    raise LfmeshError(f"unknown part {name!r}; valid are {', '.join(world.mesh_names)}")
 
 
 def _thin_lens(world: World, number: int) -> Rows:
@@ -190,8 +190,8 @@ def _medium_round(world: World, number: int) -> Rows:
 def _particles(world: World, number: int) -> Rows:
     table = next((each for each in world.particles if each.entry == number), None)
     if table is None:
-        return [("particles", "none of them shines")]
-    return [("particles", f"{len(table.points):,} that shine"), ("packets", f"{table.samples} each")]
+        return [("particles", "none of them emits light")]
+    return [("particles", f"{len(table.points):,} that emit light"), ("packets", f"{table.samples} each")]
 
 
 def _fields(model: Model) -> Rows:

@@ -95,7 +95,7 @@ class View:
     @property
     def title(self) -> str:
         """Name of the scene."""
-        return self.world.scene.name or "scene without a name"
+        return self.world.scene.name or "unnamed scene"
 
     @property
     def scale(self) -> str:

@@ -292,7 +292,7 @@ def test_plenpy_gets_16_linear_bits_and_lengths_in_metres(tmp_path: Path) -> Non
     ("export", "fault"),
     [
         (lambda f, to: lf.export_field(f, to, "hci", depth_mm=np.ones((3, 4))), "depth map has 4 × 3 samples"),
-        (lambda f, to: lf.export_field(f, to, "eslf", depth_mm=np.ones((6, 8))), "hci does"),
+        (lambda f, to: lf.export_field(f, to, "eslf", depth_mm=np.ones((6, 8))), "hci and exr-rgb can"),
         (lambda f, to: lf.export_field(f, to, "tiff"), "must be one of lftoolbox"),
         (lambda f, to: lf.export_raw(*_raw(), to, "lytro"), "must be one of plenopticam"),
         (lambda f, to: lf.export_raw(*_raw(), to, "plenpy"), "this one is square"),
@@ -361,7 +361,7 @@ def test_the_command_exports_a_run(tmp_path: Path, capsys: pytest.CaptureFixture
     assert (tmp_path / "eslf" / "lightfield.eslf.png").is_file()
     for words, fault in (
         (["--format", "plenopticam"], "has no white.exr; make it with lfmesh white"),
-        (["--format", "eslf", "--depth", "d.exr"], "holds no depth"),
+        (["--format", "eslf", "--depth", "d.exr"], "cannot hold depth"),
         (["--format", "hci", "--depth", str(tmp_path / "d.exr")], "does not exist"),
         (["--format", "hci", "--depth", str(tmp_path / "light.exr")], "has no channel truth or Z"),
         (["--format", "tiff"], "tiff"),

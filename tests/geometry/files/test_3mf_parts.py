@@ -63,7 +63,7 @@ def test_an_extension_that_is_not_read_is_named(tmp_path):
     with pytest.raises(MeshError, match="needs the extension 'urn:other' of 3MF, which is not read"):
         load_mesh(path)
     path = saved(tmp_path / "b.3mf", root=model("", '<item objectid="1" p:path="/3D/gone.model"/>', "p"))
-    with pytest.raises(MeshError, match=r"its part '3D/gone\.model' is not there"):
+    with pytest.raises(MeshError, match=r"its part '3D/gone\.model' is missing"):
         load_mesh(path)
 
 

@@ -56,7 +56,7 @@ def test_a_buffer_that_has_gone_is_told_though_its_document_is_known(tmp_path: P
     path.write_text(mesh_file.json.dumps(tree))
     assert load_mesh(path)
     buffer.unlink()
-    with pytest.raises(MeshError, match=r"part\.bin is not there"):
+    with pytest.raises(MeshError, match=r"part\.bin is missing"):
         load_mesh(path)
 
 

@@ -135,7 +135,7 @@ def test_obj_without_its_material_file_has_the_material_of_the_scene_and_says_so
     (tmp_path / "t.obj").write_text(f"mtllib t.mtl\nusemtl red\n{text}")
     (bare,) = load_mesh(tmp_path / "bare.obj", "mm")
     with pytest.warns(
-        LensFileWarning, match=r"its material file t\.mtl is not there: its facets have the material that"
+        LensFileWarning, match=r"its material file t\.mtl is missing: its facets have the scene's material"
     ):
         (piece,) = load_mesh(tmp_path / "t.obj", "mm")
     np.testing.assert_array_equal(piece.mesh.vertices, bare.mesh.vertices)
@@ -150,7 +150,7 @@ def test_obj_with_an_undefined_material_has_the_material_of_the_scene_and_says_s
     (tmp_path / "t.mtl").write_text(materials)
     (tmp_path / "t.obj").write_text(f"mtllib t.mtl\nusemtl red\n{text}")
     (bare,) = load_mesh(tmp_path / "bare.obj", "mm")
-    with pytest.warns(LensFileWarning, match="its material red is not defined: its facets have the material that"):
+    with pytest.warns(LensFileWarning, match="its material red is not defined: its facets have the scene's material"):
         (piece,) = load_mesh(tmp_path / "t.obj", "mm")
     np.testing.assert_array_equal(piece.factor, bare.factor)
     assert (piece.material, piece.picture) == (bare.material, bare.picture)
@@ -292,7 +292,7 @@ def broken_files(folder):
     header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
     for index in (-1, 3, 7):
         facets = f"element face 1\nproperty list uchar int vertex_indices\nend_header\n{corners}3 0 1 {index}\n"
-        yield write(f"index{index}.ply", header + facets), f"names vertex {index}, and there are 3|broken"
+        yield write(f"index{index}.ply", header + facets), f"names vertex {index}, but there are 3|broken"
     write("secret.txt", "newmtl a\n")
     (folder / "inner").mkdir()
     for name in ("../secret.txt", str(folder / "secret.txt")):
@@ -301,16 +301,16 @@ def broken_files(folder):
     yield write("picture.obj", "mtllib outside.mtl\n" + TRIANGLE + "f 1 2 3\n"), "outside the mesh's folder"
     yield write("far.obj", TRIANGLE.replace("1 0 0", "1e200 0 0") + "f 1 2 3\n"), "farther than"
     for ending, whole in gltf_of_three_corners(folder).items():
-        yield write(f"index.{ending}", whole), "names vertex 9, and there are 3|broken"
+        yield write(f"index.{ending}", whole), "names vertex 9, but there are 3|broken"
     document = json.loads(save_gltf(folder / "document.gltf").read_text())
     document["buffers"][0]["uri"] = "gone.bin"
-    yield write("buffer.gltf", json.dumps(document)), "its buffer gone.bin is not there"
+    yield write("buffer.gltf", json.dumps(document)), "its buffer gone.bin is missing"
     if hasattr(os, "mkfifo"):
         os.mkfifo(folder / "pipe.bin")
         document["buffers"][0]["uri"] = "pipe.bin"
-        yield write("pipe.gltf", json.dumps(document)), "no regular file"
+        yield write("pipe.gltf", json.dumps(document)), "is not a regular file"
         os.mkfifo(folder / "pipe.stl")
-        yield folder / "pipe.stl", "no regular file"
+        yield folder / "pipe.stl", "is not a regular file"
     document = json.loads(save_gltf(folder / "document.gltf").read_text())
     document["accessors"][0]["count"] = 10**15
     yield write("count.gltf", json.dumps(document)), "an accessor counts 1000000000000000 entries"
@@ -319,7 +319,7 @@ def broken_files(folder):
     postscript = "data:image/png;base64," + base64.b64encode(POSTSCRIPT).decode()
     document = json.loads(save_gltf(folder / "document.gltf", picture=np.zeros((1, 1, 3), np.uint8)).read_text())
     document["images"][0]["uri"] = postscript
-    yield write("postscript.gltf", json.dumps(document)), "its picture is of no kind that is read"
+    yield write("postscript.gltf", json.dumps(document)), "its picture is of an unsupported kind"
     yield folder / "missing.stl", "does not exist"
     (folder / "folder.stl").mkdir()
     yield folder / "folder.stl", "is a folder"

@@ -125,7 +125,7 @@ def test_two_material_files_are_both_read(tmp_path):
 @pytest.mark.parametrize(
     ("material", "said"),
     [
-        ("map_Kd gone.png", "its picture gone.png is not there: its facets have their plain colour"),
+        ("map_Kd gone.png", "its picture gone.png is missing: its facets have their plain colour"),
         ("map_Bump bump.png", "material m: its picture map_bump is left out"),
         ("Ke 1 1 1", "its emission"),
         ("map_Kd -mm 0.5 1 chart.png", r"the range of its picture \(-mm 0\.5 1\) is left out"),
@@ -143,8 +143,8 @@ def test_what_a_material_has_and_the_scene_has_not_is_told(tmp_path, material, s
 @pytest.mark.parametrize(
     ("facet", "said", "has"),
     [
-        ("f 1/1 2/2 3/9\n", "1 facets name texture coordinates that are not there", (False, False)),
-        ("f 1/1/1 2/2/1 3/3/1\n", "1 facets name normals that are not there", (True, False)),
+        ("f 1/1 2/2 3/9\n", "1 facets name missing texture coordinates", (False, False)),
+        ("f 1/1/1 2/2/1 3/3/1\n", "1 facets name missing normals", (True, False)),
     ],
 )
 def test_what_is_not_there_is_told_and_not_used(tmp_path, facet, said, has):

@@ -113,7 +113,7 @@ def test_a_binary_stl_may_begin_with_the_word_solid(tmp_path):
     (piece,) = loaded(tmp_path / "t.stl", b"solid vertex endfacet".ljust(80) + struct.pack("<I", 2) + 2 * facet)
     assert len(piece.mesh.faces) == 2
     (tmp_path / "short.stl").write_bytes(b"binary".ljust(80) + struct.pack("<I", 9) + facet)
-    with pytest.raises(MeshError, match="its header counts 9 facets, and there is room for 1"):
+    with pytest.raises(MeshError, match="its header counts 9 facets, but the file has room for 1"):
         load_mesh(tmp_path / "short.stl", "mm")
 
 

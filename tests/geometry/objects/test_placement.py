@@ -61,8 +61,8 @@ def test_a_part_in_metres_is_suspected(tmp_path: Path) -> None:
     part = {"file": file, "units": "mm", "position_mm": [0.0, 0.0, -150.0]}
     assert placed(part, tmp_path).warnings == ()
     large = placed(part | {"units": "m"}, tmp_path)
-    assert "40 m large with units = 'm'" in large.warnings[0]
-    assert "round the camera" in large.warnings[1]
+    assert "40 m wide with units = 'm'" in large.warnings[0]
+    assert "encloses the camera" in large.warnings[1]
     small = placed(part | {"units": "um"}, tmp_path)
     assert "less than a sample" in small.warnings[0]
 
@@ -70,12 +70,12 @@ def test_a_part_in_metres_is_suspected(tmp_path: Path) -> None:
 def test_the_unit_that_is_suspected_is_the_files(tmp_path: Path) -> None:
     trimesh.creation.box(extents=(40.0, 30.0, 20.0)).export(tmp_path / "part.glb")
     metres = placed({"file": "part.glb", "position_mm": [0.0, 0.0, -150.0]}, tmp_path)
-    assert "is 40 m large by the unit of its format, m, and the camera sees" in metres.warnings[0]
+    assert "is 40 m wide by the unit of its format, m, but the camera sees" in metres.warnings[0]
     # A body of millimetres in a file that gives them as kilometres.
     text = (Path(__file__).parents[2] / "solids" / "doublet.step").read_text()
     (tmp_path / "part.step").write_text(text.replace("SI_UNIT(.MILLI.,.METRE.)", "SI_UNIT(.KILO.,.METRE.)"))
     step = placed({"file": "part.step", "position_mm": [0.0, 0.0, -150.0]}, tmp_path)
-    assert " m large by the unit that its file names, and the camera sees" in step.warnings[0]
+    assert " m wide by the unit of its file, but the camera sees" in step.warnings[0]
 
 
 PANEL = {"kind": "rectangle", "position_mm": LAMP["position_mm"], "width_mm": 20.0, "height_mm": 10.0, "power_w": 1.0}
@@ -86,7 +86,11 @@ TUBE = {"kind": "line", "start_mm": [0.0, 0.0, -1000.0], "end_mm": [0.0, 40.0, -
     ("target", "lights", "words"),
     [
         ({"position_mm": [0.0, 0.0, 400.0]}, None, "behind the sensor"),
-        ({"shape": {"kind": "sphere", "radius_mm": 200.0}, "position_mm": [0.0, 0.0, -50.0]}, None, "round the camera"),
+        (
+            {"shape": {"kind": "sphere", "radius_mm": 200.0}, "position_mm": [0.0, 0.0, -50.0]},
+            None,
+            "encloses the camera",
+        ),
         ({"rotation_deg": [0.0, 180.0, 0.0], "material": {"sides": "front"}}, None, "black side"),
         ({"position_mm": [0.0, 0.0, -40.0]}, None, "lit by no lamp"),
         ({"material": {"reflectance": 0.0}}, None, "its reflectance is 0"),

@@ -99,10 +99,10 @@ def test_the_creases_of_a_file_are_where_its_normals_differ(tmp_path):
     [
         (lambda n: np.where(np.arange(42)[:, None] == 7, 0.0, n), "5 of its 240 corner normals have no direction"),
         (lambda n: np.where(np.arange(42)[:, None] == 7, np.nan, n), "5 of its 240 corner normals have no direction"),
-        (lambda n: np.where(np.arange(42)[:, None] < 2, -n, n), "corner normals look to the wrong side"),
-        (lambda n: -n, "240 of its 240 corner normals look to the wrong side"),
-        (lambda n: np.add(n, [0.0, 0.0, 0.9]), "corner normals are further off their facet than a smooth surface's"),
-        (lambda n: n * [1.0, 1.0, 0.2], "corner normals are further off their facet than a smooth surface's"),
+        (lambda n: np.where(np.arange(42)[:, None] < 2, -n, n), "corner normals point to the wrong side"),
+        (lambda n: -n, "240 of its 240 corner normals point to the wrong side"),
+        (lambda n: np.add(n, [0.0, 0.0, 0.9]), "corner normals deviate more from their facet than on a smooth surface"),
+        (lambda n: n * [1.0, 1.0, 0.2], "corner normals deviate more from their facet than on a smooth surface"),
     ],
 )
 def test_bad_normals_are_refused_in_one_line_that_counts_them(tmp_path, spoil, said):
@@ -127,7 +127,7 @@ def test_an_open_mesh_is_refused_as_glass_in_one_line(tmp_path, ending):
     whole = ball(2)
     path = saved(tmp_path / f"open.{ending}", trimesh.Trimesh(whole.vertices, whole.faces[3:], process=False))
     with pytest.raises(
-        MeshError, match=r"a refractor must be a closed body; \d+ of its edges join no second facet"
+        MeshError, match=r"a refractor must be a closed body; \d+ of its edges belong to only one facet"
     ) as e:
         load(path)
     assert "\n" not in str(e.value)
@@ -138,7 +138,7 @@ def test_doubled_facets_are_called_doubled(tmp_path):
     for again in (whole.faces[:5], whole.faces[:5, ::-1]):
         faces = np.concatenate([whole.faces, again])
         path = saved(tmp_path / "doubled.stl", trimesh.Trimesh(whole.vertices, faces, process=False))
-        with pytest.raises(MeshError, match=rf"closed body; 5 of its {len(faces)} facets are doubled"):
+        with pytest.raises(MeshError, match=rf"closed body; 5 of its {len(faces)} facets are duplicates"):
             load(path)
 
 

@@ -168,5 +168,5 @@ def test_check_prints_the_tank_and_where_its_middle_is_seen(tmp_path, capsys):
     assert main(["check", str(file)]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     # 5 mm of wall and 25 mm of water, each divided by its index.
-    assert f"is seen {5 / WALL + 25 / WATER:.6g} mm behind it" in printed
+    assert f"appears {5 / WALL + 25 / WATER:.6g} mm behind it" in printed
     assert "tanks[0] 100 × 80 × 60 mm, closed" in printed

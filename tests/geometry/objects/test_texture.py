@@ -101,7 +101,7 @@ def test_a_picture_with_too_many_pixels_is_refused_before_it_is_decoded(tmp_path
     assert load_texture(tmp_path / "t.png").shape == (32, 64, 3)
     monkeypatch.setattr(PIL.Image.Image, "load", lambda *_: pytest.fail("decoded"))
     monkeypatch.setattr(texture, "MOST_PIXELS", 2047)
-    with pytest.raises(FileError, match="has 64 × 32 pixels; give a picture of 2047 at most"):
+    with pytest.raises(FileError, match="has 64 × 32 pixels; give a picture of at most 2047"):
         load_texture(tmp_path / "t.png")
     for limit in (1500, 1000):
         # Pillow's own limits: of the one it warns, at twice the other it refuses.

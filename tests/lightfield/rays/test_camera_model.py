@@ -167,7 +167,7 @@ def test_the_camera_of_a_run_is_that_of_its_scene(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.parametrize(
     ("arguments", "why"),
-    [(["-o", "camera.png"], "ends in one of"), (["-o", "camera.exr", "--distances-mm", "500", "-3"], "distances")],
+    [(["-o", "camera.png"], "must end in one of"), (["-o", "camera.exr", "--distances-mm", "500", "-3"], "distances")],
 )
 def test_what_cannot_be_written_is_refused(
     camera: Callable[..., Scene], tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], why: str,

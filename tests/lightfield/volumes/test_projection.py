@@ -268,7 +268,7 @@ def test_a_matrix_that_was_cut_short_goes_on_to_the_same_bytes(tmp_path, monkeyp
         camera(), box(), tmp_path / "cut.npz", say=said.append, progress=lambda done, _: finished.append(done)
     )
     assert finished[0] > 100
-    assert said[-2].startswith("goes on after")
+    assert said[-2].startswith("continues after")
     assert "of their sum dropped" in said[-1]
     assert not (tmp_path / "cut.npz.parts").exists()
     made = projection_matrix(camera(), box())
@@ -323,7 +323,7 @@ def test_two_blobs_are_found_again_in_a_rendered_image(method, least, tmp_path):
         (lambda: box((0, 2, 2)), r"counts = \[0, 2, 2\]: must be three whole numbers from 1"),
         (lambda: box((2, 2)), "must be three whole numbers"),
         (lambda: box((2.5, 2, 2)), "must be three whole numbers"),
-        (lambda: box((10**6, 10**6, 10**6)), "voxels at most"),
+        (lambda: box((10**6, 10**6, 10**6)), "with at most .* voxels"),
         (lambda: box(size=(1.0, -1.0, 1.0)), "size_mm = .*: must be three numbers above 0"),
         (lambda: box(position_mm=(0.0, np.nan, 0.0)), "position_mm = .*: must be three numbers"),
         (lambda: projection_matrix(camera(), "grid"), "grid is str, without shape"),
@@ -335,8 +335,8 @@ def test_two_blobs_are_found_again_in_a_rendered_image(method, least, tmp_path):
         (lambda: projection_matrix(camera(), box(), channel=1), "channel = 1: must be a whole number from 0 to 0"),
         (lambda: projection_matrix(camera(), box(), threshold=1.0), "threshold = 1.0: must lie from 0 to below 1"),
         (lambda: projection_matrix(camera(polarisation=True), box()), "transport.polarisation"),
-        (lambda: lf.write_projection_matrix(camera(), box(), "m.csv"), "ends in one of .npz, .h5, .hdf5"),
-        (lambda: lf.write_projection_matrix(camera(), box(), "no/such/m.npz"), "there is no folder no/such"),
+        (lambda: lf.write_projection_matrix(camera(), box(), "m.csv"), "must end in one of .npz, .h5, .hdf5"),
+        (lambda: lf.write_projection_matrix(camera(), box(), "no/such/m.npz"), "the folder no/such does not exist"),
         (lambda: lf.open_projection_matrix("missing.npz"), "no such file"),
         (lambda: projection_matrix(camera(), box()).image(np.ones(7)), r"the emission has the shape \(7,\)"),
     ],
@@ -496,7 +496,7 @@ def test_a_matrix_warns_of_light_that_it_lacks_as_an_image_does(ending, tmp_path
 def test_a_damaged_file_is_refused(tmp_path):
     path = tmp_path / "m.npz"
     path.write_bytes(b"nothing")
-    with pytest.raises(FileError, match="no projection matrix, or damaged"):
+    with pytest.raises(FileError, match="not a projection matrix, or is damaged"):
         files.open_projection_matrix(path)
 
 

@@ -41,9 +41,7 @@ METHODS = ["mart", "rl", "sart", "nnls", "tikhonov", "tv"]
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_warns_of_voxels_that_are_finer_than_the_camera_resolves(method):
     full = blind_to_depth(5)
-    with pytest.warns(
-        lf.FineVoxelsWarning, match=r"of the features of 125 voxels .*along z .* mm are resolved"
-    ) as told:
+    with pytest.warns(lf.FineVoxelsWarning, match=r"of 125 voxels only .*along z .* mm are resolved") as told:
         found = lf.reconstruct(matrix_of(full, (5, 5, 5)), full.sum(axis=1), method)
     fine = [each for each in found.warnings if isinstance(each, lf.FineVoxelsWarning)]
     assert fine == [each.message for each in told if each.category is lf.FineVoxelsWarning]

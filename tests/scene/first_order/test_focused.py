@@ -220,7 +220,7 @@ def test_a_multi_focus_array_with_a_type_for_far_objects_is_focused() -> None:
 
 
 def test_reductions_that_make_a_standard_camera_are_refused() -> None:
-    with pytest.raises(lf.LfmeshError, match="must be below 10, the pixels a lenslet"):
+    with pytest.raises(lf.LfmeshError, match="must be below 10, the pixels per lenslet"):
         thin_camera(12.0)
 
 
@@ -246,5 +246,5 @@ def test_what_is_advised_for_a_focused_camera_focuses_it() -> None:
 
 
 def test_a_focused_camera_is_not_made_focused_again() -> None:
-    with pytest.raises(lf.LfmeshError, match="focused plenoptic one already"):
+    with pytest.raises(lf.LfmeshError, match="already a focused plenoptic one"):
         lf.focused(focused(0))

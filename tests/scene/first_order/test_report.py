@@ -235,13 +235,13 @@ WARNED = [
     ({"targets[0].position_mm": (40.0, 0.0, -400.0)}, "targets[0] is out of the field: at z = -400 mm"),
     ({"targets[0].position_mm": (0.0, 0.0, 400.0)}, "targets[0] is out of the field: z = 400 mm is behind"),
     ({"targets[0].position_mm": (0.0, 0.0, -4000.0)}, "targets[0] stands at 4000 mm, out of the range"),
-    ({"camera.sensor.pixels": (100, 240)}, "outer ones go unseen"),
+    ({"camera.sensor.pixels": (100, 240)}, "outer lenslets are not recorded"),
     ({"camera.sensor.pixels": (320, 480)}, "outer pixels stay dark"),
     ({"camera.mla.pose.shift_mm[0]": 5.0}, "the array stands 5 mm beside the sensor along x"),
     ({"camera.sensor.pose.shift_mm[1]": -5.0}, "the array stands 5 mm beside the sensor along y"),
-    ({"camera.sensor.pixel_mm": 0.08, "camera.sensor.pixels": (48, 36)}, "too few to tell directions"),
+    ({"camera.sensor.pixel_mm": 0.08, "camera.sensor.pixels": (48, 36)}, "too few to distinguish directions"),
     ({"targets": ()}, "no targets"),
-    ({"lights": ()}, "nothing shines"),
+    ({"lights": ()}, "nothing emits"),
     (
         {"media": [{"scattering_per_mm": 0.01}], "transport.method": "forward"},
         "media[0] scatters light right before the lens",
@@ -251,7 +251,7 @@ WARNED = [
             "media": [{"name": "smoke", "scattering_per_mm": 0.01}],
             "particles": [PARTICLES],
         },
-        "smoke scatters light: what it scatters of the light of particles",
+        "smoke scatters light: the picture has only a part of the particles' light",
     ),
     (
         {
@@ -267,9 +267,9 @@ WARNED = [
             ],
             "particles": [PARTICLES],
         },
-        "targets[0].refractor.finish scatters light: what it scatters of the light of particles",
+        "targets[0].refractor.finish scatters light: the picture has only a part of the particles' light",
     ),
-    ({"transport.samples": 12}, "samples = 12 cannot be shared by 8 replicates: rounded up to 16"),
+    ({"transport.samples": 12}, "samples = 12 is not a multiple of 8 replicates: rounded up to 16"),
     (
         {"coatings": {"ar": {"layers": [{"index": 1.38, "thickness_nm": 0.1064}]}}},
         "coatings.ar.layers[0].thickness_nm = 0.1064: thinner than an atom; if that is in µm, give 106.4",

@@ -235,15 +235,15 @@ def test_apertures_are_needed_where_no_stop_is_marked(scene: Scene) -> None:
 
 
 IMPOSSIBLE = [
-    ({"camera.focus_mm": None}, r"camera\.mla\.distance_mm: missing; give it, or camera\.focus_mm"),
+    ({"camera.focus_mm": None}, r"camera\.mla\.distance_mm: missing; give it, or give camera\.focus_mm"),
     ({"camera.focus_mm": None, "camera.mla": None}, r"camera\.sensor\.distance_mm: missing; give it, or"),
     ({"camera.focus_mm": 40.0}, r"focus_mm = 40: no real image.*57\.3258 mm before the lens; give 57\.326 or more"),
     (
         {"camera.lens.surfaces[1].radius_mm": -60.0, "camera.lens.surfaces[2].radius_mm": 60.0},
-        "converging one",
+        "use a converging lens",
     ),
     ({"camera.mla.focal_length_mm": -0.7}, r"diverges.*give camera\.sensor\.distance_mm too"),
-    ({"camera.mla.thickness_mm": 2.0}, r"ends inside their plate; with thickness_mm at most 1\.04999 it"),
+    ({"camera.mla.thickness_mm": 2.0}, r"ends inside their plate; give thickness_mm at most 1\.04999"),
     ({"camera.lens": {"file": "none.toml"}}, r"none\.toml: cannot be read"),
 ]
 

@@ -70,7 +70,7 @@ def test_segments_across_a_panel_come_inside_it_by_more_than_a_margin() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"end_mm": (1.0, 2.0, -50.0)}, r"end_mm = \[1\.0, 2\.0, -50\.0\]: the same place as start_mm"),
+        ({"end_mm": (1.0, 2.0, -50.0)}, r"end_mm = \[1\.0, 2\.0, -50\.0\]: must differ from start_mm"),
         ({"start_mm": (0.0, 0.0, 0.0), "end_mm": (0.0, 0.0, 1e-200)}, r"end_mm - start_mm must have a length from"),
     ],
 )

@@ -144,12 +144,12 @@ def test_frames_displace_again_and_again():
         ({**DRAWN, "intensity_w_sr": float("nan")}, "finite"),
         ({**DRAWN, "intensity_w_sr": -1.0}, "0 or more"),
         ({**DRAWN, "intensity_w_sr": 1.0, "frame": 2}, "needs displacement"),
-        ({**DRAWN, "diameter_um": 1.0, "sheet": {**SHEET, "direction": (1.0, 0.0, 1.0)}}, "square to normal"),
+        ({**DRAWN, "diameter_um": 1.0, "sheet": {**SHEET, "direction": (1.0, 0.0, 1.0)}}, "perpendicular to normal"),
         ({**DRAWN, "diameter_um": 1.0, "sheet": {**SHEET, "normal": (0.0, 0.0, 0.0)}}, "zero vector"),
         ({**DRAWN, "diameter_um": 1.0, "sheet": {**SHEET, "normal": (0.0, 1e-163, 0.0)}}, "a length from 1e-100 to"),
         (
             {**DRAWN, "diameter_um": 1.0, "sheet": SHEET, "phase": {"kind": "mie", "diameter_um": 1.0, "index": 1.5}},
-            "stands in phase",
+            "belongs in phase",
         ),
     ],
 )

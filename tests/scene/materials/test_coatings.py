@@ -71,7 +71,7 @@ WRONG = {
         "index = 1.38,", 'glass = "main/Al/Rakic", extinction = 1.0,', "layers[0].extinction = 1.0: omit it",
     ),
     "unknown glass": ("index = 1.38,", 'glass = "SCHOTT/N-BK77",', "coatings.ar.layers[0].glass"),
-    "empty stack": (AR, "layers = []", "coatings.ar.layers: a stack has 1 to 1000 layers, and this one has 0"),
+    "empty stack": (AR, "layers = []", "coatings.ar.layers: 0 layers are given; a stack has 1 to 1000"),
     "nothing": (AR, "", "coatings.ar: a coating needs one of reflectance, table, measured"),
     "layers and reflectance": (AR, f"{AR}\nreflectance = 0.1", "coatings.ar.layers: reflectance is given too"),
     "reflectance and table": ("reflectance = 0.5", 'reflectance = 0.5\ntable = "x.csv"', "coatings.half.table"),
@@ -86,7 +86,7 @@ WRONG = {
     "unknown on the array": ('curved_coating = "ar"', 'curved_coating = "rare"', "mla.curved_coating = \"rare\""),
     "unknown key": ("reflectance = 0.5", "reflectence = 0.5", "unknown key (did you mean 'reflectance'?)"),
     "named none": ("[coatings.half]", "[coatings.none]", 'coatings.none: "none" stands for a bare surface'),
-    "a name with a dot": ("[coatings.half]", '[coatings."h.alf"]', "has letters, digits, _ and - only"),
+    "a name with a dot": ("[coatings.half]", '[coatings."h.alf"]', "has only letters, digits, _ and -"),
     "no text": ('coating = "ar"', "coating = 3", "camera.lens.surfaces[0].coating = 3: must be text in quotes"),
     "a coated stop": (
         "surfaces = [", 'surfaces = [ { stop = true, thickness_mm = 1.0, coating = "ar" },',
@@ -127,7 +127,7 @@ def test_a_coatings_file_is_among_those_of_the_scene(tmp_path):
 
 def test_an_element_given_as_a_mesh_has_its_coating_on_the_refractor(tmp_path):
     (tmp_path / "x.stl").write_text("")
-    with pytest.raises(SceneError, match=r'surfaces\[0\]\.coating = "ar": omit it: .*the refractor has a coating'):
+    with pytest.raises(SceneError, match=r'surfaces\[0\]\.coating = "ar": omit it: .*coating of the refractor'):
         lf.loads(
             SCENE.replace(
                 '{ radius_mm = 60.0, thickness_mm = 4.0, index = 1.5, semi_diameter_mm = 10.0, coating = "ar" }',

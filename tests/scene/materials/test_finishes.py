@@ -47,7 +47,7 @@ def test_what_is_wrong_with_a_finish_is_one_line(given: Any, said: str) -> None:
 
 
 def test_a_rough_face_has_no_coating() -> None:
-    with pytest.raises(SceneError, match=r'finish = "diffuse": the face has coating = "ar" too'):
+    with pytest.raises(SceneError, match=r'finish = "diffuse": the face also has coating = "ar"'):
         glass(finish="diffuse", coating="ar")
     assert glass(finish="polished", coating="ar").coating == "ar"
 

@@ -21,7 +21,7 @@ def test_a_grid_may_be_given_by_its_path() -> None:
         ({"absorption_per_mm": {"wavelengths_nm": [400.0, 700.0], "values": [0.1, -0.2]}}, "-0.2 at 700 nm"),
         ({"absorption_per_mm": 0.1, "emission_w_mm3_sr": 1.0, "temperature_k": 1500.0}, "give one of them"),
         ({"emission_w_mm3_sr": 1.0}, "infinitely bright"),
-        ({}, "does nothing to light"),
+        ({}, "has no effect on light"),
         ({"bounds": {"kind": "sphere", "radius_mm": 1.0}, "temperature_k": 1500.0}, "needs absorption_per_mm"),
     ],
 )

@@ -24,7 +24,7 @@ def scene(**refractor: Any) -> lf.Scene:
         ({"shape": BALL, "units": "mm"}, "shape is given too"),
         ({"shape": BALL, "box_mm": [1.0, 1.0, 1.0]}, "shape is given too"),
         ({"box_mm": [1.0, 1.0, 1.0], "surface": "flat"}, "box_mm is given too"),
-        ({"shape": BALL, "surface": "patch"}, "a shape is met as it is, or by flat facets"),
+        ({"shape": BALL, "surface": "patch"}, "a shape is exact, or has flat facets"),
         ({"shape": {"kind": "disk", "radius_mm": 1.0}}, "shape"),
         ({"shape": {"kind": "sphere", "radius_mm": -1.0}}, "radius_mm"),
         ({"shape": {"kind": "cylinder", "radius_mm": 1.0}}, "height_mm"),
@@ -38,7 +38,7 @@ def test_a_shape_that_means_nothing_is_refused(keys: dict[str, Any], said: str) 
 def test_an_element_of_the_lens_is_no_primitive_shape() -> None:
     camera = camera_without_array()
     camera["lens"]["surfaces"].insert(0, {"refractor": {"shape": BALL, "index": 1.5}, "thickness_mm": 1.0})
-    with pytest.raises(SceneError, match="only in front of the camera; give file"):
+    with pytest.raises(SceneError, match="only for a refractor in front of the camera; give file"):
         lf.Scene(camera=camera)
 
 

@@ -201,7 +201,7 @@ def test_a_dry_run_warns_of_what_the_check_of_an_item_warns_of(
     for words in (["check", str(tmp_path / "scene.toml")], ["dataset", str(tmp_path / "data.toml"), "--dry-run"]):
         assert main(words) == 0
         said = capsys.readouterr()
-        assert "diffraction blurs" in " ".join((said.err + said.out).split())
+        assert "diffraction is not traced" in " ".join((said.err + said.out).split())
 
 
 def test_a_dry_run_lists_and_writes_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -213,14 +213,14 @@ def test_a_dry_run_lists_and_writes_nothing(folder: Path, capsys: pytest.Capture
 @pytest.mark.parametrize(
     ("draw", "message"),
     [
-        ({"path": DEPTH}, "says nothing to draw from"),
+        ({"path": DEPTH}, "nothing to draw from is given"),
         ({"path": DEPTH, "uniform": (2.0, 1.0)}, "is empty"),
         ({"path": DEPTH, "uniform": (1.0, 2.0), "values": [1.0]}, "values and uniform are given"),
         ({"path": DEPTH, "normal": (1.0, 0.0)}, "must be above 0"),
         ({"path": "targets[1].position_mm[2]", "uniform": (1.0, 2.0)}, "there is no [1]"),
         ({"path": TEXTURE, "files": "*.nothing"}, "there is no such file"),
         ({"path": TEXTURE, "files": "*.png", "relative": True}, "only numbers"),
-        ({"path": "name", "uniform": (0.0, 1.0), "relative": True}, "no number to add to"),
+        ({"path": "name", "uniform": (0.0, 1.0), "relative": True}, "not a number to add to"),
         ({"path": "targets[0].material.reflectance", "uniform": (2.0, 3.0)}, "item 0"),
         ({"path": "camera.mla.pitch_mm", "values": [-1.0]}, "item 1"),
     ],

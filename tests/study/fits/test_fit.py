@@ -253,11 +253,11 @@ FULL = np.full((80, 80), 255, np.uint8)
 @pytest.mark.parametrize(
     ("picture", "words"),
     [
-        (np.ones((80, 90)), r"90 × 80 pixels, and camera\.sensor\.pixels = \[80, 80\]"),
+        (np.ones((80, 90)), r"90 × 80 pixels, but camera\.sensor\.pixels = \[80, 80\]"),
         (np.zeros((80, 80)), "is black"),
         (FULL, r"100\.0% of the white image's pixels are at 255.*saturated"),
-        (np.full((80, 80), np.nan), "no number"),
-        (np.ones((80, 80)), "no camera like the scene.s takes this picture"),
+        (np.full((80, 80), np.nan), "not numbers"),
+        (np.ones((80, 80)), "no camera like the scene.s fits this picture"),
         (np.ones((4, 80, 80)), "80 × 4 pixels"),
         (np.ones(80), r"must be \(H, W\)"),
         (np.array([["a"]]), "real numbers"),
@@ -273,7 +273,7 @@ def test_a_picture_that_cannot_be_fitted_is_refused_in_one_line(picture: NDArray
     ("options", "words"),
     [
         ({"also": {"camera.sensor.distanc_mm": 0.1}}, "distance_mm"),
-        ({"also": {"camera.sensor.pixels": 0.1}}, "no finite number"),
+        ({"also": {"camera.sensor.pixels": 0.1}}, "only finite numbers can be fitted"),
         ({"also": {"camera.sensor.distance_mm": 0.0}}, "above 0"),
         ({"also": {PITCH: 0.1}}, "fitted already"),
         ({"orientation": "left"}, "must be one of upright, upside_down, sensor"),

@@ -2,7 +2,7 @@
 
     tools/test --long tests/study/metrics/test_stated_errors.py -s
 
-prints the table: for three cameras, at 4, 16 and 64 samples a pixel, on the reference and off it.
+prints the table: for three cameras, at 4, 16 and 64 samples per pixel, on the reference and off it.
 """
 
 import math

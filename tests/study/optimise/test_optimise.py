@@ -161,7 +161,7 @@ def test_a_search_ends_early_where_limits_exclude_each_other_and_names_the_neare
     )  # fmt: skip
     # Least squares of (t − 4)/4 and (10 − t)/75.
     nearest = (4.0 / 4.0**2 + 10.0 / 75.0**2) / (1.0 / 4.0**2 + 1.0 / 75.0**2)
-    told = [note for note in found.notes if "a search for nothing but limits" in note]
+    told = [note for note in found.notes if "a search for the limits alone" in note]
     assert max(each.share_after for each in found.constraints) <= (10.0 - nearest) / 75.0 * (1.0 + 1e-6)
     assert len(told) == 2
     assert "at most 4; the nearest has" in told[0]
@@ -360,13 +360,15 @@ def test_a_search_goes_on_past_neighbours_that_are_not_known(monkeypatch: pytest
 
 def test_a_search_that_ends_where_no_derivative_is_known_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     found = found_with(lambda shift: shift == 0.1 or abs(shift) > 0.15, monkeypatch)
-    (note,) = (note for note in found.notes if "not known" in note)
-    assert note.startswith("a search ended at a camera around which chief_rays_x_px is not known")
+    (note,) = (note for note in found.notes if "is unknown" in note)
+    assert note.startswith("a search ended at a camera around which chief_rays_x_px is unknown")
 
 
 def test_a_figure_of_pictures_that_is_not_known_at_first_is_refused_with_its_reason() -> None:
     scene = small_scene(samples=8).changed({"camera.sensor.pose.shift_mm[0]": 40.0})
-    with pytest.raises(lf.LfmeshError, match=r"centres_rms_px is not known in the camera .*: the white image shows no"):
+    with pytest.raises(
+        lf.LfmeshError, match=r"centres_rms_px is not known in the starting camera: the white image shows no"
+    ):
         lf.optimise(scene, [{"path": SHIFT, "range": [-0.2, 0.2]}], [{"metric": "centres_rms_px"}])
 
 

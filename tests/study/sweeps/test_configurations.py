@@ -65,5 +65,5 @@ def test_other_changes_keep_the_lens_that_was_read(scene):
 
 def test_a_configuration_is_not_chosen_where_surfaces_of_the_file_were_changed(scene):
     changed = scene.changed({"camera.lens.surfaces[0].radius_mm": 51.0})
-    with pytest.raises(SceneError, match="configuration = 2: it chooses from a lens file, and no file is given"):
+    with pytest.raises(SceneError, match="configuration = 2: it selects from a lens file, but no file is given"):
         changed.changed({"camera.lens.configuration": 2})

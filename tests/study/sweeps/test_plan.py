@@ -107,7 +107,7 @@ def test_refocus_that_refocuses_nothing_is_refused() -> None:
 
 
 def test_a_limit_of_metrics_without_columns_to_limit_says_so() -> None:
-    with pytest.raises(lf.LfmeshError, match=r"no column that can be limited; metrics = \['efficiency'\] have none"):
+    with pytest.raises(lf.LfmeshError, match=r"not a column that can be limited; metrics = \['efficiency'\] have none"):
         shifted(metrics=("efficiency",), limits={"psnr_db": 30.0})
 
 
@@ -179,7 +179,7 @@ def test_a_dry_run_lists_points_and_computes_none(
     printed = capsys.readouterr().out
     assert "camera.mla.pose.shift_mm[0] = 0.02" in printed
     assert "3 points, 3 units" in printed
-    assert re.search(r"about [\d.]+ s \([\d.]+ s to start, [\d.]+ s a camera in one process\), [\d.]+ GB", printed)
+    assert re.search(r"about [\d.]+ s \([\d.]+ s to start, [\d.]+ s per camera in one process\), [\d.]+ GB", printed)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["scene.toml", "study.toml"]
 
 

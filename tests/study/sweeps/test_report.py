@@ -111,7 +111,7 @@ def test_a_report_names_a_parameter_in_one_way_and_says_why_a_table_is_empty(fol
     # The path stands once below the heading of its figures; else the label is the name.
     assert page.count(SHIFT) == 1
     assert page.count("decentre = 0.05 mm") > 1
-    assert "No sensitivity: the values are no numbers." in page
+    assert "No sensitivity: the values are not numbers." in page
 
 
 def test_tables_are_no_wider_than_a_page_and_every_column_is_in_one(tmp_path: Path) -> None:
@@ -205,12 +205,12 @@ def of_values(limit: float, values: dict[float, tuple[float, float]], label: str
 @pytest.mark.parametrize(
     ("at_middle", "at_end", "said"),
     [
-        ((0.94, 0.01), (0.95, 0.01), "decentre may change by +0.1 mm, all that was studied: no limit is reached."),
-        ((0.94, 0.01), (0.95, 0.07), "; it is left open whether limits are kept at +0.1."),
-        ((0.83, 0.05), (0.95, 0.07), "; it is left open whether limits are kept at +0.05, +0.1."),
-        ((math.nan, math.nan), (0.95, 0.01), "; it is left open whether limits are kept at +0.05."),
-        ((0.7, 0.01), (0.95, 0.07), "decentre keeps the limits when changed by +0.1 mm, all that was studied, but "
-         "breaks one on the way, at +0.05."),
+        ((0.94, 0.01), (0.95, 0.01), "decentre may change by +0.1 mm, the whole studied range: no limit is reached."),
+        ((0.94, 0.01), (0.95, 0.07), "; the limits are undecided at +0.1."),
+        ((0.83, 0.05), (0.95, 0.07), "; the limits are undecided at +0.05, +0.1."),
+        ((math.nan, math.nan), (0.95, 0.01), "; the limits are undecided at +0.05."),
+        ((0.7, 0.01), (0.95, 0.07), "decentre keeps the limits when changed by +0.1 mm, the whole studied range, but "
+         "breaks one in between, at +0.05."),
     ],
 )  # fmt: skip
 def test_a_change_that_reaches_no_limit_claims_no_more_than_its_errors_allow(
@@ -227,20 +227,20 @@ def test_a_limit_that_is_broken_where_the_search_ended_is_said_though_the_search
     kept = {name: Estimate(0.95, 0.01) for name in table.rows[-1].means}
     table = replace(table, rows=(*table.rows[:-1], replace(table.rows[-1], means=kept)))
     (sentence,) = (each for each in in_short(table) if each.startswith("decentre"))
-    assert sentence.endswith("but breaks one on the way, at +0.1.")
+    assert sentence.endswith("but breaks one in between, at +0.1.")
 
 
 def test_cameras_that_errors_do_not_tell_apart_are_said_to_be_so() -> None:
     values = {0.0: (0.93, 0.006), 0.02: (0.9, 0.01), 0.04: (0.6, 0.01), 0.06: (0.949, 0.07)}
     best, worst = (each for each in in_short(of_values(0.5, values)) if each.startswith(("Best", "Worst")))
     assert "decentre = 0.06 mm, 0.949 ± 0.070" in best
-    assert best.endswith("; 1 of 2 others is not told from it by errors.")
+    assert best.endswith("; 1 of 2 others is equal to it within errors.")
     assert "decentre = 0.04 mm" in worst
-    assert "not told" not in worst
+    assert "within errors" not in worst
     held = " ".join(in_short(of_values(0.838, values)))
-    assert "is broken at 1 of 3 cameras; 1 is too near to it to tell." in held
+    assert "is broken at 1 of 3 cameras; 1 is too close to it to decide." in held
     held = " ".join(in_short(of_values(0.838, values | {0.04: (0.9, 0.01)})))
-    assert "is held at 2 of 3 cameras; 1 is too near to it to tell." in held
+    assert "is held at 2 of 3 cameras; 1 is too close to it to decide." in held
     held = " ".join(in_short(of_values(0.838, dict.fromkeys((0.0, 0.02, 0.04), (0.9, math.nan)))))
     assert "is held at all 2 cameras." in held
 
@@ -248,8 +248,8 @@ def test_cameras_that_errors_do_not_tell_apart_are_said_to_be_so() -> None:
 def test_a_psnr_is_said_to_have_no_sensitivity_as_it_is_infinite_at_the_reference(tmp_path: Path) -> None:
     shifted(5, ("psnr",)).run(tmp_path, workers=0)
     page = html.unescape((tmp_path / "report.html").read_text())
-    assert "PSNR has no sensitivity, as it is infinite at the reference; with a limit of PSNR, its budget has" in page
-    assert "it takes three points" not in page
+    assert "PSNR has no sensitivity, because it is infinite at the reference; with a limit of PSNR, its budget" in page
+    assert "it needs three points" not in page
 
 
 @pytest.mark.parametrize("label", ["gap a$b^$", "$x$ & $y_2$ / mm", "50 $"])
@@ -287,11 +287,11 @@ def test_the_yields_interval_covers_cameras_that_are_not_known_as_good_and_as_ba
         assert (found.low, found.high) == (share_of(4, 8).low, share_of(6, 8).high)
         said = " ".join(in_short(table))
         assert "Yield: 4 of 6 cameras keep the limits, 66.7 %" in said
-        assert "of 2 more it is not known" in said
-        assert "is broken at 2 of 8 cameras; of 2 its value is not known." in said
+        assert "for 2 more it is not known" in said
+        assert "is broken at 2 of 8 cameras; for 2 its value is not known." in said
     nothing = drawn([UNKNOWN] * 3)
     assert nothing.yield_share() == (0, 0, 0.0, 1.0)
-    assert "Yield: not known (95 % interval 0.0 to 100.0 %); of 3 more it is" in " ".join(in_short(nothing))
+    assert "Yield: not known (95 % interval 0.0 to 100.0 %); for 3 more it is" in " ".join(in_short(nothing))
 
 
 def test_the_yield_stands_on_the_command_line_too(
@@ -316,7 +316,7 @@ def test_a_budget_leaves_cameras_out_that_are_not_known_and_counts_them() -> Non
     budget = budget_of(table, table.columns[0])
     assert budget.left_out == 1
     assert budget.drawn == pytest.approx(sum((value - 1.0) ** 2 for value, _ in known) / len(known))
-    assert "1 point, of which normalised cross-correlation is not known, left out." in budget_in_words(table, budget)
+    assert "1 point left out, where normalised cross-correlation is not known." in budget_in_words(table, budget)
 
 
 def test_a_search_that_ends_at_what_is_not_known_says_no_limit_is_reached_there() -> None:
@@ -325,6 +325,6 @@ def test_a_search_that_ends_at_what_is_not_known_says_no_limit_is_reached_there(
     table = replace(table, rows=(*table.rows[:-1], end))
     said = [each for each in in_short(table) if "decentre" in each and "Best" not in each and "Worst" not in each]
     assert "decentre may change by +0.05 (at least; not known from +0.05 to +0.1) mm." in said
-    assert "Whether decentre keeps the limits between +0.05 and +0.1 mm is not known: ncc: dark." in said
+    assert "It is not known whether decentre keeps the limits between +0.05 and +0.1 mm: ncc: dark." in said
     assert not any("until a limit is reached" in each or "no limit is reached" in each for each in said)
     assert "not known within the interval" in page(table)

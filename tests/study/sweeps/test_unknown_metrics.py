@@ -61,7 +61,7 @@ def test_a_point_of_which_no_metric_can_be_had_fails(tmp_path: Path) -> None:
     assert not any(row.unknown for row in table.rows)
     scene = small_scene(samples=8).changed({ASIDE: 40.0})
     study = lf.Study(scene, axes=[{"path": SHIFT, "values": [0.01]}], metrics=["centres"])
-    with pytest.warns(UserWarning, match=f"^no metric is known of the reference camera: {BLACK}"):
+    with pytest.warns(UserWarning, match=f"^no metric is known for the reference camera: {BLACK}"):
         study.run(tmp_path / "black", workers=0)
 
 
@@ -82,7 +82,7 @@ def test_a_metric_that_cannot_be_had_of_the_reference_is_said_before_other_camer
         table = study.run(tmp_path, workers=0, progress=count)
     assert [when for when, _ in told] == [0, 0]
     for name, (_, words) in zip(("chief_rays", "crosstalk"), told, strict=True):
-        assert words.startswith(f"{name} is not known of the reference camera: ")
+        assert words.startswith(f"{name} is not known for the reference camera: ")
         assert TWO_SIDED in words
     assert not table.failed
     assert finite(table, "light_ratio") == [True, True]
@@ -100,18 +100,18 @@ def test_the_command_and_its_dry_run_name_a_metric_that_cannot_be_had(
     )
     assert main(["study", str(study), "--dry-run"]) == 0
     printed = " ".join(capsys.readouterr().err.split())
-    assert "Note: chief_rays is not known of the reference camera: camera.mla.back: arrays with" in printed
+    assert "Note: chief_rays is not known for the reference camera: camera.mla.back: arrays with" in printed
     assert main(["study", str(study), "-o", str(tmp_path / "out"), "--workers", "0"]) == 0
     captured = capsys.readouterr()
     assert "2 of 2 points are done." in captured.out
     printed = " ".join(captured.err.split())
-    assert "Note: chief_rays is not known of the reference camera: camera.mla.back: arrays with" in printed
+    assert "Note: chief_rays is not known for the reference camera: camera.mla.back: arrays with" in printed
     assert "Note: chief_rays is not known at 2 of 2 points (the reference," in printed
 
 
 def test_a_limit_of_a_metric_that_cannot_be_had_is_neither_held_nor_broken(tmp_path: Path) -> None:
     table = aside(0.01, 40.0, limits={"centres_rms_px": 1.0}).run(tmp_path, workers=0)
-    assert any(line.endswith("1.0 is held at 1 of 2 cameras; of 1 its value is not known.") for line in held(table))
+    assert any(line.endswith("1.0 is held at 1 of 2 cameras; for 1 its value is not known.") for line in held(table))
     assert not table.breaking()
     drawn = {"path": ASIDE, "range": (0.0, 10.0)}
     study = lf.Study(
@@ -133,7 +133,7 @@ def held(table: Table) -> list[str]:
 def test_what_is_adjusted_or_searched_by_a_metric_that_cannot_be_had_fails(tmp_path: Path) -> None:
     """A camera that was not adjusted would be another one; and without a limit of the reference there is no search."""
     compensators = [{"path": "camera.mla.pose.tilt_deg[2]", "range": (-0.1, 0.1), "metric": "chief_rays_rms_px"}]
-    with pytest.warns(UserWarning, match="chief_rays is not known of the reference camera"):
+    with pytest.warns(UserWarning, match="chief_rays is not known for the reference camera"):
         table = lf.Study(
             two_sided(),
             axes=[{"path": SHIFT, "values": [0.01]}],
@@ -144,7 +144,7 @@ def test_what_is_adjusted_or_searched_by_a_metric_that_cannot_be_had_fails(tmp_p
     adjusted, *searched = (row.fault for row in table.rows[1:])
     assert adjusted.startswith("cannot be adjusted by chief_rays_rms_px: ")
     assert searched
-    assert all(why.startswith("chief_rays, which has a limit, cannot be had of the reference") for why in searched)
+    assert all(why.startswith("chief_rays has a limit, but is not known for the reference") for why in searched)
     assert not any("reference camera itself" in line for line in in_short(table))
 
 
@@ -169,5 +169,5 @@ def test_cameras_that_are_not_known_on_the_way_of_an_adjustment_are_counted_and_
     assert met.reason == BLACK
     said = f"({met.unknown} of {met.cameras} cameras on the way): {BLACK}"
     assert said in (tmp_path / "table.csv").read_text()
-    assert f"centres is not known of {met.unknown} of {met.cameras} cameras that searches" in " ".join(in_short(table))
+    assert f"centres is not known for {met.unknown} of {met.cameras} cameras tried" in " ".join(in_short(table))
     assert [line["unknown"] for line in logged(tmp_path) if line["event"] == "unknown on the way"] == [met.unknown]

@@ -37,11 +37,11 @@ def test_contributions_add_up_to_that_of_all_errors_together(tmp_path: Path) -> 
     expected = sum(y**2 for _, y in x) / sum(a**2 + b**2 for a, b in x)
     assert found.share(found.effects[0]).value == pytest.approx(expected, abs=0.02)
     page = (tmp_path / "report.html").read_text()
-    assert f"The mean square of chief rays: displacement, rms is used up by {SHIFT_Y} " in page
+    assert f"The mean square of chief rays: displacement, rms comes from {SHIFT_Y} " in page
     assert "Budget of chief rays: displacement, rms" in page
     # No camera has one error by itself; the shares of quantities without noise have no error that is seen.
     assert "Which error matters" not in page
-    shares = re.findall(r"is used up by (.*?)\. All together", page)
+    shares = re.findall(r"comes from (.*?)\. All together", page)
     assert shares
     assert not any("±" in each for each in shares)
 

@@ -61,7 +61,7 @@ def test_it_is_told_in_table_and_report(tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text()
     assert "array: decentre may change by -0.02" in page
     assert "mm, until a limit is reached: chief rays: displacement, rms at most 0.3 pixels." in page
-    assert f"{TURN} may change by +0.01 deg, all that was studied: no limit is reached." in page
+    assert f"{TURN} may change by +0.01 deg, the whole studied range: no limit is reached." in page
     heading, *lines = (line.split(",") for line in (tmp_path / "table.csv").read_text().splitlines())
     searched = [dict(zip(heading, line, strict=True)) for line in lines if SHIFT in line]
     assert [float(line["allowed_low"]) for line in searched] == [row.allowed.low for row in found(table)[:2]]  # type: ignore[union-attr]

@@ -99,10 +99,10 @@ def test_what_is_out_of_the_field_is_named_by_check_and_in_the_report_of_a_black
     for words in (
         "media[0] (smoke): absorbs, emits before the lens 480 mm to 520 mm share of the field 0 % at most",
         "Note: media[0] (smoke) is out of the field",
-        "media[1]: absorbs before the lens 0 mm on, without an end share of the field 100 %",
+        "media[1]: absorbs before the lens 0 mm and beyond, unbounded share of the field 100 %",
         "optical depth 0.0001 per mm",
         "Note: particles[0] is out of the field",
-        "particles[1]: particles, 2 that shine",
+        "particles[1]: particles, 2 of them emitting",
     ):
         assert words in said, said
     black: Any = SimpleNamespace(mean=np.zeros((2, 2, 1)), scene=scene)

@@ -276,7 +276,7 @@ def no_proof_rays(patch: Patch, _: Path) -> lf.Scene:
     ("case", "words"),
     [
         (lens_of_a_mesh_file, "as the lens has surfaces of mesh files"),
-        (few_proof_rays, "rays are too few to tell"),
+        (few_proof_rays, "test rays cannot rule out less"),
         (no_proof_rays, "no ray from the stop could be traced to the sensor"),
     ],
 )
@@ -368,7 +368,7 @@ def test_a_projection_matrix_warns_of_clear_air_and_of_what_its_camera_is_known_
     box = ["--counts", "2", "2", "2", "--size-mm", "4", "4", "4", "--position-mm", "0", "0", "-60"]
     assert main(["matrix", "scene.toml", *box, "-o", "m.npz"]) == 0
     err = " ".join(capsys.readouterr().err.split())
-    assert err.count("Warning: media[0]: what media absorb") == 1
+    assert err.count("Warning: media[0]: this projection matrix ignores absorption") == 1
     assert err.count("Warning: the lens's Airy disk") == 1
 
 
@@ -411,5 +411,5 @@ def test_a_picture_with_values_that_are_no_numbers_is_warned_of() -> None:
     spoiled = image.mean.copy()
     spoiled[0, 0] = np.nan
     told = found(replace(image, mean=spoiled))
-    assert any("1 values of the picture are no numbers" in str(each) for each in told)
-    assert not any("no numbers" in str(each) for each in found(image))
+    assert any("1 values of the picture are not numbers" in str(each) for each in told)
+    assert not any("not numbers" in str(each) for each in found(image))

@@ -169,7 +169,7 @@ def test_trees_hold_every_facet_once() -> None:
 @pytest.mark.parametrize(
     ("case", "message"),
     [
-        ("open", r"open\.stl: what bounds a medium must be a closed body; 3 of its edges join no second facet"),
+        ("open", r"open\.stl: the boundary of a medium must be a closed body; 3 of its edges belong to only one facet"),
         ("round the camera", r"media\[0\] reaches .* mm behind the first lens vertex"),
         ("missing", r"none\.stl: the mesh file"),
         ("unit", r"units: missing: STL files carry no unit"),

@@ -211,7 +211,7 @@ def test_a_run_folder_keeps_what_was_reached(tmp_path: Path) -> None:
     assert again.refinement == image.refinement
     assert again.complete
     said = " ".join(words.summary(image))
-    assert f"{image.samples:.3g} a pixel on average" in said
+    assert f"{image.samples:.3g} per pixel on average" in said
     assert "standard error of 10 %" in said
 
 

@@ -178,9 +178,9 @@ def test_light_that_turns_past_a_rim_at_the_stop_is_in_the_picture(rim: str) -> 
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"transport.split": "both"}, "along the image path alone"),
-        ({"transport.engine": "mesh"}, "along the image path alone"),
-        ({"transport.diffraction": "lenslets"}, 'without an array take "stop"'),
+        ({"transport.split": "both"}, "along the image path only"),
+        ({"transport.engine": "mesh"}, "along the image path only"),
+        ({"transport.diffraction": "lenslets"}, 'without an array give "stop"'),
     ],
 )
 def test_what_is_not_followed_is_refused(changed: dict[str, Any], words: str) -> None:
@@ -189,13 +189,13 @@ def test_what_is_not_followed_is_refused(changed: dict[str, Any], words: str) ->
 
 
 def test_surfaces_that_are_not_exact_are_refused() -> None:
-    with pytest.raises(lf.LfmeshError, match="follows exact surfaces in their order"):
+    with pytest.raises(lf.LfmeshError, match="needs sequential tracing of exact surfaces"):
         lf.render(edge("on a surface", samples=32).changed({"transport.surface": "flat"}))
 
 
 def test_a_stop_is_not_diffracted_at_before_an_array() -> None:
     mla = {"count": (3, 3), "pitch_mm": 0.1, "radius_mm": 1.0, "index": 1.5, "thickness_mm": 0.1}
-    with pytest.raises(lf.LfmeshError, match="makes pictures behind an array worse"):
+    with pytest.raises(lf.LfmeshError, match="worsens pictures behind an array"):
         edge("on a surface").changed({"camera.mla": mla})
 
 

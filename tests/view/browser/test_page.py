@@ -582,7 +582,7 @@ def test_pages_are_limited_and_those_that_are_left_make_room(page: Page, browser
     try:
         late.goto(server.url)
         late.wait_for_selector("#fault")
-        assert "Close one of them" in late.inner_text("#fault")
+        assert "Close one, then reload" in late.inner_text("#fault")
         for answer in held:
             answer.close()
         late.reload()

@@ -167,7 +167,7 @@ def test_each_ending_makes_its_kind_of_file(tmp_path, monkeypatch):
     [
         ("layout.jpg", r"ends in \.jpg; a drawing is one of \.svg, \.png, \.pdf"),
         ("layout", r"has no ending; a drawing is one of \.svg, \.png, \.pdf"),
-        ("nowhere/layout.svg", "there is no folder"),
+        ("nowhere/layout.svg", "nowhere does not exist"),
         ("folder.svg", "cannot be written"),
     ],
 )

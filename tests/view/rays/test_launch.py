@@ -229,8 +229,8 @@ def test_words_that_cannot_be_launched_are_one_clear_message(glowing, words, say
         (lambda w: from_field_point(w, "here", 10), "three finite numbers"),
         (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 0), "count = 0"),
         (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 1.5), "count = 1.5"),
-        (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 10**9), "paths of 1,000,000 rays at most"),
-        (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 10**5000), "integer of some 5000 digits"),
+        (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 10**9), "paths of at most 1,000,000 rays"),
+        (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 10**5000), "integer of about 5000 digits"),
         (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 9, split="all"), "both, roulette, transmit"),
         (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 9, aim="stop"), '"pupil" or "lens"'),
         (lambda w: from_field_point(w, (0.0, 0.0, -9.0), 9, wavelength_nm=-1.0), "wavelength_nm = -1.0"),
@@ -249,9 +249,9 @@ def test_a_scene_in_which_nothing_shines_says_so(glowing):
     dark = glowing.scene.model_copy(
         update={"targets": (), "transport": glowing.scene.transport.model_copy(update={"method": "forward"})}
     )
-    with pytest.raises(lf.LfmeshError, match="nothing shines"):
+    with pytest.raises(lf.LfmeshError, match="nothing emits"):
         as_in_run(lf.build(dark), 10)
-    with pytest.raises(lf.LfmeshError, match="lights nothing"):
+    with pytest.raises(lf.LfmeshError, match="illuminates nothing"):
         from_light(lf.build(dark.model_copy(update={"lights": LAMPS})), 0, 10)
 
 

@@ -182,5 +182,5 @@ def in_focus_distance_mm(
         Distance of the plane before the first vertex.
     """
     lens = Paraxial.of(camera.lens, wavelength_nm)
-    front = front_principal_mm(camera.mla, wavelength_nm) if camera.mla is not None else 0.0
+    front = front_principal_mm(camera, wavelength_nm) if camera.mla is not None else 0.0
     return lens.image_mm(focus_mm) + middle_of(types).main_image_mm - front

@@ -141,13 +141,14 @@ if TYPE_CHECKING:
     from lfmesh.study.fits.fit import Fit, fit
     from lfmesh.study.optimise.optimise import Optimum, optimise
     from lfmesh.study.sweeps.study import Study
+    from lfmesh.transport.build import build
     from lfmesh.transport.packets.ledger import Ledger
     from lfmesh.transport.packets.packet import Event
     from lfmesh.transport.render.image import Image
     from lfmesh.transport.render.progress import Progress
     from lfmesh.transport.trace import Status, trace
     from lfmesh.transport.traced_paths import Paths
-    from lfmesh.transport.world import World, build
+    from lfmesh.transport.world import World
     from lfmesh.view.layout.figure import draw
     from lfmesh.view.lens_sheet import draw_lens_sheet
     from lfmesh.view.rays.exact_ghosts import ExactGhosts, exact_ghosts
@@ -441,7 +442,8 @@ _HOMES = {
     "lfmesh.transport.render.progress": ["Progress"],
     "lfmesh.transport.trace": ["Status", "trace"],
     "lfmesh.transport.traced_paths": ["Paths"],
-    "lfmesh.transport.world": ["World", "build"],
+    "lfmesh.transport.build": ["build"],
+    "lfmesh.transport.world": ["World"],
     "lfmesh.view.layout.figure": ["draw"],
     "lfmesh.view.lens_sheet": ["draw_lens_sheet"],
     "lfmesh.view.rays.exact_ghosts": ["ExactGhosts", "exact_ghosts"],

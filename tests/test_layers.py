@@ -28,7 +28,7 @@ ROOMS = {
     "transport": [
         *["packets", "paths", "tables", "events", "lights", "sequences", "aims", "checks/aim_proof", "regions"],
         *["choice", "collisions, inside_camera", "close_faces, refused_lamps", "refused_glass"],
-        *["built", "world", "settings"],
+        *["world", "world_cache", "build", "settings"],
         *["threads", "engine", "sources"],  # packets through a world, and what starts them
         "checks, render, ray_starts, traced_paths, trace",
     ],
@@ -172,18 +172,11 @@ def circle(graph: Mapping[Path, set[Path]]) -> str:
 
 def test_no_files_import_each_other_in_a_circle() -> None:
     graph = {path: imported_files(path) for path in modules()}
-    assert len(graph[PACKAGE / "transport" / "world.py"]) > 10, "imports are not found"
+    assert len(graph[PACKAGE / "transport" / "build.py"]) > 10, "imports are not found"
     assert not circle(graph)
 
 
-KNOWN_CIRCLES = {"transport": "built names the type that world makes"}
-
-
-@pytest.mark.parametrize(
-    "part",
-    [pytest.param(part, marks=pytest.mark.xfail(reason=KNOWN_CIRCLES.get(part, ""), condition=part in KNOWN_CIRCLES))
-     for part in ORDER],
-)  # fmt: skip
+@pytest.mark.parametrize("part", ORDER)
 def test_no_files_of_a_part_know_each_other_in_a_circle(part: str) -> None:
     """Every import statement between files of the part counts, also inside functions and under TYPE_CHECKING.
 

@@ -21,7 +21,7 @@ from bench_report import peak_mib
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import Scene
-from lfmesh.transport.world import world_of
+from lfmesh.transport.build import world_of
 
 AWAY_MM = 500.0
 ACROSS_MM = 100.0

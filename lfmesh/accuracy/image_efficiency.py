@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.scene import Scene
+from lfmesh.transport.build import build
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 
 @dataclass(frozen=True)

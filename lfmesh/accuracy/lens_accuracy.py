@@ -22,9 +22,10 @@ from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene
+from lfmesh.transport.build import build
 from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.trace import trace
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 LEVELS = ("flat", "smooth", "patch", "exact")
 RINGS = (6, 12, 24, 48, 96)

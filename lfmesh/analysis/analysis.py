@@ -19,7 +19,8 @@ from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.distance import length_in_words
 from lfmesh.scene.first_order.compute import airy_disk_mm
 from lfmesh.scene.literals import literal
-from lfmesh.transport.world import World, build
+from lfmesh.transport.build import build
+from lfmesh.transport.world import World
 from lfmesh.waves.bundle import LensRays, pupil_grid
 
 Array = NDArray[np.float64]

@@ -82,8 +82,8 @@ def _plan(loaded: "Dataset") -> int:
     with defer_interrupt():
         from lfmesh.geometry.lens.solved_camera import solved_camera
         from lfmesh.scene.literals import counted
+        from lfmesh.transport.build import build
         from lfmesh.transport.checks.foreseen import foreseen
-        from lfmesh.transport.world import build
 
     first = loaded.scene(0)
     say_warnings(foreseen(build(first)), solved_camera(first).report)

@@ -50,9 +50,9 @@ def check(scene: SceneFile, /) -> int:
 
     loaded = load(scene)
     with defer_interrupt():
+        from lfmesh.transport.build import build
         from lfmesh.transport.checks.foreseen import foreseen
         from lfmesh.transport.checks.lamp_lines import lamp_lines
-        from lfmesh.transport.world import build
     lines = [*first_order(loaded).lines(), *mesh_lines(loaded), *glass_lines(solved_camera(loaded).scene)]
     if loaded.tanks:
         lines += tank_lines(loaded, first_order(loaded).object_index)

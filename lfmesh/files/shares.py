@@ -26,12 +26,12 @@ from lfmesh.files.sealed import read_sealed, refuse_maker, write_sealed
 from lfmesh.provenance import program
 from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene
+from lfmesh.transport.build import build
 from lfmesh.transport.checks.blind_check import BlindSamples
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.jobs import Job, jobs_of, reduced
 from lfmesh.transport.render.tally import ChunkTally, Film, Piece, Work, arrays_of, filled
 from lfmesh.transport.render.tracer import Tracer
-from lfmesh.transport.world import build
 
 FACTS, PIECES = "render.json", "pieces"
 

@@ -5,10 +5,10 @@ The latest world is kept even if nobody holds it, unless it is large.
 """
 
 import threading
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -19,18 +19,14 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene
 from lfmesh.scene.inputs import STAMPED_FILES, digest_of, file_stamp, files_of
 from lfmesh.scene.literals import literal
-
-if TYPE_CHECKING:
-    from lfmesh.transport.world import World
+from lfmesh.transport.world import Key, World
 
 MOST_BYTES = 1 << 29
 """Largest size of the arrays of a world that is kept while nobody else holds it; Embree's tree takes about as much
 again."""
 
-Key = tuple[Hashable, ...]
-
-_held: "WeakValueDictionary[Key, World]" = WeakValueDictionary()
-_latest: "dict[Key, World]" = {}
+_held: WeakValueDictionary[Key, World] = WeakValueDictionary()
+_latest: dict[Key, World] = {}
 _access = threading.Lock()
 
 
@@ -68,7 +64,7 @@ def _digest(path: Path, stamp: tuple[object, ...]) -> str:
     return digest_of(path) if stamp else ""
 
 
-def keep(key: Key, world: "World") -> None:
+def keep(key: Key, world: World) -> None:
     """Store a world under its key.
 
     Parameters
@@ -91,7 +87,7 @@ def let_go(key: Key) -> None:
             _latest.clear()
 
 
-def known(key: Key) -> "World | None":
+def known(key: Key) -> World | None:
     """Return the world built from a key, if it still exists."""
     with _access:
         return _held.get(key)
@@ -104,7 +100,7 @@ def bytes_of(tables: Any) -> int:
     return sum(map(bytes_of, tables)) if isinstance(tables, tuple | list) else 0
 
 
-def refuse_other(world: "World", key: Key | None, scene: Scene) -> None:
+def refuse_other(world: World, key: Key | None, scene: Scene) -> None:
     """Refuse a world that was built from another scene.
 
     Parameters

@@ -19,10 +19,11 @@ from lfmesh.geometry.array.lattice import centre
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene, load
 from lfmesh.scene.literals import counted
+from lfmesh.transport.build import build
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.trace import trace
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from lfmesh.view.rays.launch_line import launch
 from lfmesh.view.rays.paths import OF_PATHS, OF_VERTICES, FieldPoints, Rays
 

@@ -10,9 +10,10 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.scene import Scene
+from lfmesh.transport.build import build
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import at_wavelength, trace
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from lfmesh.waves.bundle import Bundle, LensRays, pupil_grid
 from lfmesh.waves.camera_faces import WaveFace, faces_before_sensor
 from lfmesh.waves.refused import NoLightError, refuse_scene

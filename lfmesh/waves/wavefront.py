@@ -20,8 +20,8 @@ from lfmesh.notebook import Pictured
 from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
 from lfmesh.scene import Scene
 from lfmesh.scene.quantities import LARGEST
+from lfmesh.transport.build import build
 from lfmesh.transport.trace import check_numbers, check_whole, shown
-from lfmesh.transport.world import build
 from lfmesh.waves.bundle import LensRays, Traced, pupil_grid
 from lfmesh.waves.zernike import FRINGE_TERMS, fitted
 

@@ -288,7 +288,7 @@ def test_a_world_is_pickled_as_its_scene_and_copied(monkeypatch):
         again = lf.trace(same, *rays)
         assert np.array_equal(again.position, paths.position)
         assert np.array_equal(again.weight, paths.weight)
-    monkeypatch.setattr("lfmesh.transport.world.build", pytest.fail)
+    monkeypatch.setattr("lfmesh.transport.build.build", pytest.fail)
     copied = copy.copy(world)
     copied.scene = None
     assert world.scene is not None

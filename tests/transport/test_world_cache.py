@@ -11,7 +11,8 @@ import trimesh
 import lfmesh as lf
 from lfmesh.errors import LfmeshError, SceneError, heard, warn_caller
 from lfmesh.scene import Scene, loads
-from lfmesh.transport import built, world
+from lfmesh.transport import build as building
+from lfmesh.transport import world_cache
 from lfmesh.transport.render.tracer import Tracer
 from tests.cameras import bench_camera
 
@@ -48,14 +49,14 @@ def write_part(folder: Path, size: float) -> None:
 def builds(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
     """Note every scene that is built, and begin with none that is built already."""
     made: list[Scene] = []
-    build = world._built
+    build = building._built
 
     def noted(scene: Scene, *how: Any) -> lf.World:
         made.append(scene)
         return build(scene, *how)
 
-    monkeypatch.setattr(world, "_built", noted)
-    monkeypatch.setattr(built, "_latest", {})
+    monkeypatch.setattr(building, "_built", noted)
+    monkeypatch.setattr(world_cache, "_latest", {})
     return made
 
 
@@ -73,13 +74,13 @@ def test_a_second_render_of_a_scene_builds_nothing(scene: Scene, builds: list[Sc
 def test_a_world_and_the_renders_of_its_scene_share_one_aim(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether they are given the world or find it."""
     asked: list[Scene] = []
-    prove = world.proven_aim
+    prove = building.proven_aim
 
     def noted(scene: Scene, *rest: Any, **how: Any) -> Any:
         asked.append(scene)
         return prove(scene, *rest, **how)
 
-    monkeypatch.setattr(world, "proven_aim", noted)
+    monkeypatch.setattr(building, "proven_aim", noted)
     own = lf.build(scene)
     images = [lf.render(scene), lf.render(scene, world=own), lf.render(scene)]
     assert len(asked) == 1
@@ -108,16 +109,16 @@ def test_a_world_of_another_scene_is_refused_by_the_first_difference(
 ) -> None:
     own = lf.build(scene)
     with pytest.raises(LfmeshError, match=said) as refused:
-        world.world_of(scene.changed(change), own)
+        building.world_of(scene.changed(change), own)
     assert "\n" not in str(refused.value)
 
 
 def test_a_world_is_refused_when_a_file_of_its_scene_has_changed(scene: Scene, tmp_path: Path) -> None:
     own = lf.build(scene)
-    assert world.world_of(scene, own) is own
+    assert building.world_of(scene, own) is own
     write_part(tmp_path, 20.0)
     with pytest.raises(LfmeshError, match="files that it was built from have changed"):
-        world.world_of(scene, own)
+        building.world_of(scene, own)
 
 
 @pytest.mark.parametrize(
@@ -139,17 +140,17 @@ def test_every_value_of_a_scene_is_part_of_what_a_world_depends_on(scene: Scene,
         changed = scene.changed(change)
     except SceneError as error:
         pytest.skip(str(error))
-    assert built.key_of(changed) != built.key_of(scene)
+    assert world_cache.key_of(changed) != world_cache.key_of(scene)
 
 
 def test_every_file_of_a_scene_is_part_of_what_a_world_depends_on(scene: Scene, tmp_path: Path) -> None:
-    keys = {built.key_of(scene)}
+    keys = {world_cache.key_of(scene)}
     write_part(tmp_path, 20.0)
-    keys.add(built.key_of(scene))
+    keys.add(world_cache.key_of(scene))
     (tmp_path / "white.csv").write_text(SPECTRUM.format(0.6))
-    keys.add(built.key_of(scene))
+    keys.add(world_cache.key_of(scene))
     assert len(keys) == 3
-    keys.add(built.key_of(scene.changed({"transport.seed": 7})))
+    keys.add(world_cache.key_of(scene.changed({"transport.seed": 7})))
     assert len(keys) == 3, "the seed is not"
 
 
@@ -157,12 +158,12 @@ def test_a_file_beside_a_mesh_file_is_part_of_what_a_world_depends_on(scene: Sce
     (tmp_path / "part.obj").write_text("mtllib part.mtl\nv 0 0 0\nv 9 0 0\nv 0 9 0\nusemtl m\nf 1 2 3\n")
     (tmp_path / "part.mtl").write_text("newmtl m\nKd 0.1 0.1 0.1\n")
     coloured = scene.changed({"targets[0].file": "part.obj"})
-    keys = {built.key_of(coloured)}
+    keys = {world_cache.key_of(coloured)}
     (tmp_path / "part.mtl").write_text("newmtl m\nKd 0.9 0.1 0.1\nmap_Kd part.png\n")
-    keys.add(built.key_of(coloured))
+    keys.add(world_cache.key_of(coloured))
     for content in (b"one", b"two"):
         (tmp_path / "part.png").write_bytes(content)
-        keys.add(built.key_of(coloured))
+        keys.add(world_cache.key_of(coloured))
     assert len(keys) == 4
 
 
@@ -170,7 +171,7 @@ def test_what_its_owner_does_to_a_world_enters_no_other_render(scene: Scene) -> 
     own = lf.build(scene)
     own.tables = own.tables._replace(objects=None)
     own.kept["order of surfaces, aimed: True"] = None
-    found = world.world_of(scene)
+    found = building.world_of(scene)
     assert found.tables.objects is not None
     assert not found.kept
 
@@ -178,14 +179,14 @@ def test_what_its_owner_does_to_a_world_enters_no_other_render(scene: Scene) -> 
 def test_a_large_world_is_found_while_it_is_held_and_not_kept_afterwards(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(built, "MOST_BYTES", 1000)
+    monkeypatch.setattr(world_cache, "MOST_BYTES", 1000)
     own = lf.build(scene)
-    key = built.key_of(scene)
-    assert built.bytes_of(own.tables) > 1000
-    assert built.known(key) is not None
+    key = world_cache.key_of(scene)
+    assert world_cache.bytes_of(own.tables) > 1000
+    assert world_cache.known(key) is not None
     del own
     gc.collect()
-    assert built.known(key) is None
+    assert world_cache.known(key) is None
 
 
 def test_one_world_is_kept_that_nobody_holds(scene: Scene) -> None:
@@ -193,23 +194,23 @@ def test_one_world_is_kept_that_nobody_holds(scene: Scene) -> None:
     for radius in (1.0, 2.0):
         other = scene.changed({"lights[0].power_w": radius})
         lf.build(other)
-        keys.append(built.key_of(other))
+        keys.append(world_cache.key_of(other))
     gc.collect()
-    assert [built.known(key) is not None for key in keys] == [False, True]
+    assert [world_cache.known(key) is not None for key in keys] == [False, True]
 
 
 def test_a_coarse_world_is_none_that_a_render_takes_by_itself(scene: Scene, builds: list[Scene]) -> None:
     coarse = lf.build(scene, rings=3)
-    assert world.world_of(scene) is not coarse
+    assert building.world_of(scene) is not coarse
     assert len(builds) == 2
-    assert world.world_of(scene, coarse) is coarse
+    assert building.world_of(scene, coarse) is coarse
 
 
 def test_warnings_of_building_are_said_again_by_a_render_that_builds_nothing(scene: Scene) -> None:
     own = lf.build(scene)
-    built.known(built.key_of(scene))._said = (UserWarning("the file lacks a part"),)  # type: ignore[union-attr]
+    world_cache.known(world_cache.key_of(scene))._said = (UserWarning("the file lacks a part"),)  # type: ignore[union-attr]
     with pytest.warns(UserWarning, match="the file lacks a part"):
-        world.world_of(scene)
+        building.world_of(scene)
     assert own.scene.targets
 
 

@@ -16,8 +16,8 @@ from lfmesh.accuracy.hard.outcome import (
     world_with,
 )
 from lfmesh.accuracy.hard.truth import Array, Interface, at_plane, through
+from lfmesh.transport.build import build
 from lfmesh.transport.trace import trace
-from lfmesh.transport.world import build
 
 
 def _aimed(points: Array, seed: int = 3) -> tuple[Array, Array]:

@@ -6,8 +6,8 @@ from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, disk, lens_scen
 from lfmesh.accuracy.hard.truth import Array, Plate
 from lfmesh.geometry.frame import directions, frame, inverse, points
 from lfmesh.scene import BackFace, MicrolensArray, Pose
+from lfmesh.transport.build import build
 from lfmesh.transport.trace import trace
-from lfmesh.transport.world import build
 
 BEHIND_LENS = 10.0
 """Distance from the lens to the array, mm."""

@@ -17,8 +17,8 @@ from lfmesh.accuracy.hard.outcome import (
 from lfmesh.accuracy.hard.truth import Array, transmittance
 from lfmesh.scene.objects.shapes import Plane
 from lfmesh.scene.objects.targets import Material, Target
+from lfmesh.transport.build import build
 from lfmesh.transport.trace import trace
-from lfmesh.transport.world import build
 
 COUNT = 10_000
 LEAST_RAD = 1e-3

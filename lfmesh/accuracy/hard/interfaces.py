@@ -4,10 +4,11 @@ import numpy as np
 
 from lfmesh.accuracy.hard.outcome import Outcome, case, disk, lens_scene, outcome, surfaces_of, through_lens, tilted
 from lfmesh.accuracy.hard.truth import Array, transmittance
+from lfmesh.transport.build import build
 from lfmesh.transport.packets.packet import Event
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.traced_paths import Paths
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 WINDOW = surfaces_of(((np.inf, 4.0, 1.5), (-50.0, 0.0, 1.0)))
 """A flat front face, with enough power behind it to make a lens."""

@@ -10,8 +10,8 @@ from lfmesh.scene import Camera, Lens, Light, Scene, Sensor, Surface, Target
 from lfmesh.scene.light.lights import LineLight, PointLight
 from lfmesh.scene.objects.shapes import Plane
 from lfmesh.scene.objects.targets import Material
+from lfmesh.transport.build import build
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.world import build
 
 DISTANCES_MM = (1e-9, 1e-4, 0.1, 1.0, 100.0, 1e5)
 APERTURE_MM, TO_SENSOR_MM, WINDOW_MM, SENSOR_MM = 6.0, 5.0, 1.0, 4.0

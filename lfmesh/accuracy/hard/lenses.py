@@ -19,8 +19,8 @@ from lfmesh.accuracy.hard.outcome import (
 from lfmesh.accuracy.hard.truth import Array, at_plane, through
 from lfmesh.scene import Surface
 from lfmesh.scene.camera.sections import Biconic, Toroid
+from lfmesh.transport.build import build
 from lfmesh.transport.trace import Status, trace
-from lfmesh.transport.world import build
 
 
 def _bundle(count: int, radius: float, spread: float = 0.1) -> tuple[Array, Array]:

@@ -12,10 +12,11 @@ from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, lens_scene, out
 from lfmesh.accuracy.hard.truth import Array
 from lfmesh.scene import Medium, Plane, Scene, Surface, Target
 from lfmesh.scene.objects.targets import Material
+from lfmesh.transport.build import build
 from lfmesh.transport.render.render import render
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.traced_paths import Paths
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 CHART_AT = -400.0
 MIDDLE = -200.0

@@ -20,8 +20,8 @@ from lfmesh.accuracy.hard.outcome import (
 from lfmesh.accuracy.hard.truth import Array, Interface, at_plane, through
 from lfmesh.errors import LfmeshError
 from lfmesh.scene import Plane, Target
+from lfmesh.transport.build import build
 from lfmesh.transport.trace import Status, trace
-from lfmesh.transport.world import build
 
 SPHERE_AT = -40.0
 

@@ -7,7 +7,7 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import MicrolensArray, Scene, Surface
 from lfmesh.transport.aims.fitting import ALLOWED
 from lfmesh.transport.aims.pupil import opening_from
-from lfmesh.transport.world import build
+from lfmesh.transport.build import build
 
 SENSOR_MM = 45.0
 """Distance of the sensor behind the lens, near its focus."""

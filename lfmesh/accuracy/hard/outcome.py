@@ -15,11 +15,12 @@ from lfmesh.accuracy.hard.truth import Array, Bundle, Interface, at_plane, throu
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Camera, Lens, MicrolensArray, Refractor, Scene, Sensor, Surface, Target
 from lfmesh.scene.objects.refractor import FacetLevel
+from lfmesh.transport.build import build
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.traced_paths import Paths
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from lfmesh.accuracy.hard.truth import Array
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.scene import Refractor, Target
 from lfmesh.scene.objects.shapes import Cylinder, Sphere
+from lfmesh.transport.build import build
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.traced_paths import Paths
-from lfmesh.transport.world import build
 
 RADIUS_MM = 5.0
 PLACE = np.array([3.0, -2.0, -300.0])

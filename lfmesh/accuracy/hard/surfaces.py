@@ -15,11 +15,11 @@ from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.polarisation import bare_interface, coated_interface
 from lfmesh.scene import Refractor, Target
 from lfmesh.scene.materials.finishes import SMOOTHEST
+from lfmesh.transport.build import build
 from lfmesh.transport.events.ground import ground_direction
 from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.trace import trace
-from lfmesh.transport.world import build
 
 DRAWN = 20_000
 INDICES = (1.01, 4.0)

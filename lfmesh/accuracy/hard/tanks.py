@@ -9,9 +9,10 @@ import trimesh
 from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, disk, lens_scene, outcome
 from lfmesh.accuracy.hard.truth import Array, Interface, at_plane, through
 from lfmesh.scene import Plane, Refractor, Target
+from lfmesh.transport.build import build
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.traced_paths import Paths
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 WATER, GLASS = 1.333, 1.52
 CHART_AT = -400.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from lfmesh.accuracy.hard.outcome import Outcome, case
 from lfmesh.scene import Camera, Lens, Scene, Sensor, Surface, Transport
-from lfmesh.transport.world import build
+from lfmesh.transport.build import build
 from lfmesh.waves.between import BETWEEN
 from lfmesh.waves.particles import particle_film
 from lfmesh.waves.point_spread import point_spread

@@ -15,6 +15,7 @@ from lfmesh.lightfield.rays.view_rays import ViewRays, image_path_engine
 from lfmesh.lightfield.views.decode import view_count
 from lfmesh.notebook import Pictured
 from lfmesh.scene import Scene
+from lfmesh.transport.build import build
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import BY_MESH, BY_ORDER, CAMERA_FRAME, TRANSMIT, WORLD_FRAME
 from lfmesh.transport.packets.random import descendant
@@ -22,7 +23,7 @@ from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.trace import Status
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
 Samples = NDArray[np.float32]

@@ -7,8 +7,9 @@ import numpy as np
 
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.scene import FirstOrder, Scene
+from lfmesh.transport.build import build
 from lfmesh.transport.trace import Status, trace
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 FAN = 64
 """Rays for the focus, one per ring of equal area in the paraxial stop."""

@@ -11,11 +11,12 @@ from lfmesh.lightfield.rays.ray_model import RayModel, TracedShift
 from lfmesh.lightfield.views.decode import sampling_of
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene
+from lfmesh.transport.build import build
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.traced_paths import Paths
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
 

@@ -29,6 +29,7 @@ from lfmesh.lightfield.volumes.voxel_box import VoxelBox
 from lfmesh.lightfield.volumes.voxel_pictures import voxel_pictures
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import literal
+from lfmesh.transport.build import build
 from lfmesh.transport.checks.found import given_up
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import (
@@ -45,7 +46,7 @@ from lfmesh.transport.settings import ledger_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.lights import MM2
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from lfmesh.waves.point_spread import TOLERANCE
 
 Array = NDArray[np.float64]

@@ -33,7 +33,7 @@ from lfmesh.study.sweeps.pool import here, in_pool
 from lfmesh.study.sweeps.study import Progress, Report, Shard, check_workers, cores, default_workers, lists_settings
 from lfmesh.study.sweeps.study_file import refused
 from lfmesh.study.sweeps.study_folder import append_event
-from lfmesh.transport.world import build
+from lfmesh.transport.build import build
 
 INDEX, FACTS = "index.jsonl", "dataset.json"
 

@@ -20,7 +20,7 @@ from lfmesh.lightfield.rays.pixel_bundles import bundles
 from lfmesh.lightfield.views.decode import Sampling, sampling_of, view_count
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene
-from lfmesh.transport.world import build
+from lfmesh.transport.build import build
 
 Array = NDArray[np.float64]
 

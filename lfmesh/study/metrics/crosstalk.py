@@ -15,6 +15,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.lightfield.calibration.calibration import calibrate
 from lfmesh.scene import Scene
+from lfmesh.transport.build import build
 from lfmesh.transport.checks.found import given_up
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import COUNTERS, CURVED_FACE, SENSOR_FRAME, TRANSMIT, WORLD_FRAME, Event
@@ -23,7 +24,7 @@ from lfmesh.transport.settings import ledger_of, options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.trace import Status
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]

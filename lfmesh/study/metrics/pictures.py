@@ -14,13 +14,13 @@ from lfmesh.lightfield.calibration.white import white_scene
 from lfmesh.scene import Scene
 from lfmesh.study.cameras.compare import edge_plane, measuring
 from lfmesh.study.metrics.crosstalk import lenslet_light
+from lfmesh.transport.build import build
 from lfmesh.transport.checks.found import books
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.render import warn_beforehand
 from lfmesh.transport.render.tally import Work
 from lfmesh.transport.render.tracer import Tracer
-from lfmesh.transport.world import build
 
 Array = NDArray[np.float64]
 Films = Mapping[str, Array]

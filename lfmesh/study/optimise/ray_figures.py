@@ -13,7 +13,7 @@ from lfmesh.study.optimise.design_file import Goal, Rays
 from lfmesh.study.optimise.jet import Jet
 from lfmesh.study.optimise.lens_numbers import RayLayout, layout_of
 from lfmesh.study.optimise.ray_derivatives import Landed, RayFan, land
-from lfmesh.transport.world import build
+from lfmesh.transport.build import build
 from lfmesh.waves.bundle import LensRays, pupil_grid
 
 Array = NDArray[np.float64]

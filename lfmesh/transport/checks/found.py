@@ -92,8 +92,8 @@ def _out_of_field(scene: Scene) -> list[str]:
     if not (scene.media or scene.particles):
         return []
     # Imported here because only a black picture needs to build a world.
+    from lfmesh.transport.build import build
     from lfmesh.transport.checks.media_places import unseen
-    from lfmesh.transport.world import build
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

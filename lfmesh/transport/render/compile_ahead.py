@@ -21,6 +21,7 @@ from lfmesh.geometry.objects.targets import is_met_exactly
 from lfmesh.kernels.accelerator import private
 from lfmesh.kernels.cache import is_cached
 from lfmesh.scene import Scene
+from lfmesh.transport.build import build
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import (
@@ -46,7 +47,7 @@ from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.tables.lines import FIRST
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 ON_IMAGE_PATH = ((OBJECTS, False), (LENS, True))
 EVERYWHERE = tuple((station, False) for station in (OBJECTS, LENS, LENS_MESH, CELLS, PLATE, SENSOR))

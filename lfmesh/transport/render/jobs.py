@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lfmesh.provenance import program, refuse_other
 from lfmesh.scene import Scene, loads
+from lfmesh.transport.build import build
 from lfmesh.transport.engine import CHUNK
 from lfmesh.transport.render.adaptive import Counts
 from lfmesh.transport.render.image import Image
@@ -18,7 +19,6 @@ from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.render import Clock, Keeper, Untraced, folded, number_of, untraced_light, warned
 from lfmesh.transport.render.tally import Piece, Tally
 from lfmesh.transport.render.tracer import Tracer
-from lfmesh.transport.world import build
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from lfmesh.cluster import LOCAL, RETRIES, connected, next_done, threads_of
 from lfmesh.errors import LfmeshError
 from lfmesh.scene import Scene
+from lfmesh.transport.build import build
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.jobs import Job, reduced, traced
 from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.render import Keeper, Untraced
 from lfmesh.transport.render.tally import Piece, joined
 from lfmesh.transport.render.tracer import Tracer
-from lfmesh.transport.world import build
 
 JOBS = 2
 """Approximate jobs of a stage per worker thread: with more of them, the slowest delays the others less."""

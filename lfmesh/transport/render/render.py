@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError, PictureWarning, in_order, warn_caller
 from lfmesh.notebook import watched
 from lfmesh.scene import Scene
+from lfmesh.transport.build import world_of
 from lfmesh.transport.checks.foreseen import foreseen
 from lfmesh.transport.checks.found import found, proofs
 from lfmesh.transport.packets.packet import EVENTS
@@ -27,7 +28,7 @@ from lfmesh.transport.render.tally import RenderState, StageSum, Tally
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.tables.interfaces import coating_errors
 from lfmesh.transport.threads import Threads
-from lfmesh.transport.world import World, world_of
+from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
 

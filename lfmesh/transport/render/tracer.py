@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.aims.kept import Kept, digest_of
-from lfmesh.transport.built import key_of
 from lfmesh.transport.checks.blind_check import CHUNK as BLIND_CHUNK
 from lfmesh.transport.checks.blind_check import BlindSamples, first_of_runs
 from lfmesh.transport.checks.ghost_check import compare_ghosts
@@ -38,6 +37,7 @@ from lfmesh.transport.sources.wavelengths import ALONE, Turn
 from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import World
+from lfmesh.transport.world_cache import key_of
 
 ORDER_STREAM, SHARES_STREAM = 1 << 20, 1 << 21
 """Stream numbers of the random numbers for the check of the surface order and for the parts' shares of the samples,

@@ -20,8 +20,9 @@ from lfmesh.scene.first_order.solve import (
     lenslet_focal_length_mm,
     rear_principal_mm,
 )
+from lfmesh.transport.build import build
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from lfmesh.view.layout.sections import (
     Cut,
     Glass,

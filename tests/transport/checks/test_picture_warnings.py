@@ -19,7 +19,7 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.errors import PictureWarning
 from lfmesh.files import words
-from lfmesh.transport import world as worlds
+from lfmesh.transport import build as worlds
 from lfmesh.transport.checks.aim_proof import Missed
 from lfmesh.transport.checks.blind_check import BlindSamples
 from lfmesh.transport.checks.found import found

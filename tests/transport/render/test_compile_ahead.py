@@ -24,7 +24,7 @@ from lfmesh.transport.regions import lens, mla, mla_plate, objects, sensor
 from lfmesh.transport.render.compile_ahead import EVERYWHERE, ON_IMAGE_PATH, compile_launches, compile_stations
 from lfmesh.transport.sources import pixels
 from lfmesh.transport.sequences import ghosts, image_path
-from lfmesh.transport.world import build
+from lfmesh.transport.build import build
 
 regions = [mla.admit_to_cells, mla.shade_cells, mla_plate.through_plate, lens.admit_to_lens, lens.shade_lens,
     objects.admit_to_objects, objects.shade_objects, sensor.onto_sensor]

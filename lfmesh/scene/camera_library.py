@@ -5,6 +5,7 @@ from pathlib import Path
 
 from lfmesh.assets import asset_path
 from lfmesh.errors import SceneError
+from lfmesh.regular_file import read_text
 from lfmesh.scene.model import nearest
 
 _SOURCE = "Source: "
@@ -61,7 +62,7 @@ def library_camera(name: str) -> LibraryCamera:
     files = _files()
     if name not in files:
         raise SceneError(f"no camera {name!r}{nearest(name, files)}; {cameras_in_words()}")
-    text = files[name].read_text(encoding="utf-8")
+    text = read_text(files[name])
     paragraphs = _comment(text)
     source = next((each.removeprefix(_SOURCE) for each in paragraphs if each.startswith(_SOURCE)), "")
     return LibraryCamera(name, paragraphs[0], source, text)

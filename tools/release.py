@@ -47,8 +47,7 @@ def tried(python: str, wheel: Path, folder: Path) -> str:
     inside = str(home / "bin" / "python")
     run([inside, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"{wheel}[browser]"], work)
     for text, name in ((block("toml"), "scene.toml"), (block("python"), "example.py")):
-        # The assets are in the wheel, and not beside the scene.
-        (work / name).write_text(text.replace("assets/lenses/double_gauss_50mm.toml", "lib:double_gauss_50mm"))
+        (work / name).write_text(text)
     program = str(home / "bin" / "lfmesh")
     for words in ("check scene.toml", "render scene.toml -o run --samples 16", "view run --html page.html"):
         run([program, *words.split()], work)

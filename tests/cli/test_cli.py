@@ -107,7 +107,7 @@ def test_render_writes_a_run_and_says_where(
 ) -> None:
     assert main(["render", "scene.toml", "-o", "run"]) == 0
     out = capsys.readouterr().out
-    assert re.search(r"half\s+to\s+10\.\d\s+%", out)
+    assert re.search(r"10\.\d\s+%\s+in\s+half", out)
     for name in ("preview_view.png", "preview.png", "raw.exr", "report.json"):
         assert str(Path("run") / name) in out
         assert (Path("run") / name).is_file()

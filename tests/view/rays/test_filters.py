@@ -196,7 +196,7 @@ MISTAKES = {
     "pixel == 3": (9, ["'(' is missing"]),
     "pixel < 3": (6, ["pixel in (row:row, column:column)"]),
     "pixel in (1:2)": (13, ["',' is missing"]),
-    "pixel in (5:5, 1:2)": (10, ["row 5:5 holds nothing", "0 to 499"]),
+    "pixel in (5:5, 1:2)": (10, ["row 5:5 is empty", "0 to 499"]),
     "pixel in (500:510, 1:2)": (10, ["row 500:510 is outside", "0 to 499"]),
     "pixel in (1:2, 600)": (15, ["column 600 is outside", "0 to 599"]),
     "pixel in (-1:2, 1)": (10, ["number of a row"]),

@@ -195,12 +195,12 @@ def without_crossings(surfaces: list[dict[str, object]], made: KeptSurfaces, rep
             for k in free:
                 surfaces[k] = {**surfaces[k], "semi_diameter_mm": min(radius, shaped[k].semi_diameter_mm or radius)}
             how = (
-                f"clear aperture of surfaces {', '.join(map(str, free))}: {radius:.6g} mm, where surfaces {i} and "
-                f"{i + 1} meet"
+                f"clear aperture of surface{'s' if len(free) > 1 else ''} {', '.join(map(str, free))}: {radius:.6g} "
+                f"mm, where surfaces {i} and {i + 1} meet"
             )
             drawn = [made.kept[k] for k in free if made.kept[k].extent]
             for surface in drawn:
-                report.add(surface.line, surface.text, Verdict.APPROXIMATED, f"{how}, limited to the drawn size")
+                report.add(surface.line, surface.text, Verdict.APPROXIMATED, f"{how}, inside the drawn size")
             if not drawn:
                 report.notes.append(how)
     return surfaces

@@ -337,7 +337,7 @@ SURF 5
 
 def test_what_is_drawn_shrinks_where_neighbours_cross():
     lens, report = read(FILE, MENISCI_ZMX.splitlines())
-    said = [line.how for line in report.of(Verdict.APPROXIMATED) if "limited to the drawn size" in line.how]
+    said = [line.how for line in report.of(Verdict.APPROXIMATED) if "inside the drawn size" in line.how]
     assert len(said) == 2
     # They stand 0.3721 mm apart, and stop doing so at this height.
     sizes = [lens.surfaces[k].semi_diameter_mm for k in (1, 2)]

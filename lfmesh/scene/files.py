@@ -39,7 +39,7 @@ SAME_LINE_NM = 1.0
 """Limit, in nm, on the difference between other programs' roundings of a spectral line."""
 
 _LENS = "camera.lens"
-_TOO_DEEP = "tables or lists are nested too deeply for a scene"
+_TOO_DEEP = "tables or lists are nested too deeply"
 
 LIBRARY = "lib:"
 """Prefix that names a lens of the library, in place of a path."""
@@ -142,7 +142,7 @@ def _read(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise SceneError(f"{shown_path(path)}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise SceneError(f"{path}: byte {error.start} is not UTF-8; a scene file must be UTF-8 text") from None
+        raise SceneError(f"{path}: byte {error.start} is not UTF-8; a TOML file must be UTF-8 text") from None
 
 
 def read_text(path: Path) -> str:
@@ -159,7 +159,9 @@ def read_text(path: Path) -> str:
     with open_regular(path) as file:
         data = file.read(MOST_BYTES + 1)
     if len(data) > MOST_BYTES:
-        raise SceneError(f"{shown_path(path)}: larger than {MOST_BYTES // 1_000_000} MB, too large for a scene file")
+        raise SceneError(
+            f"{shown_path(path)}: larger than {MOST_BYTES // 1_000_000} MB, too large for a TOML file of lfmesh"
+        )
     return data.decode("utf-8")
 
 

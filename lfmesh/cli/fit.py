@@ -53,7 +53,7 @@ def fit(
     square_mm: Annotated[float | None, Parameter(help="Side of the boards' squares, mm.")] = None,
     grid: Annotated[
         tuple[Whole, Whole] | None,
-        Parameter(help="Number of inner corners along x and y; all must be visible."),
+        Parameter(help="Number of inner corners along x and y; all but a few of the outer ones must be in view."),
     ] = None,
     corners: Annotated[
         list[Path] | None, Parameter(help="List of a board's corners (CSV), in place of a picture.")

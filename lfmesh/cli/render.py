@@ -314,7 +314,7 @@ def _traced(
     except KeyboardInterrupt:
         if not keep.written:
             raise
-        print(f"Stopped before a replicate was finished. Continue with lfmesh render --resume {folder}.")
+        print(f"Stopped before a replicate was finished. To continue: lfmesh render --resume {folder}")
         return code_of_last()
     return _told(image, folder, verbose=verbose)
 
@@ -329,7 +329,7 @@ def _told(image: "Image", folder: Path, *, verbose: bool) -> int:
         print(wrapped(line))
     print(_whereabouts(image, place))
     if not image.complete:
-        print(f"  Continue with lfmesh render --resume {folder}.")
+        print(f"  To continue: lfmesh render --resume {folder}")
     if place != folder:
         return WRONG_INPUT
     return 0 if image.complete else code_of_last()
@@ -350,7 +350,7 @@ def _saved(image: "Image", folder: Path) -> Path:
     except (OSError, FileError):
         with suppress(OSError):
             other.rmdir()
-        kept = f"; lfmesh render --resume {folder} continues from there" if run.has_checkpoint(folder) else ""
+        kept = f"; lfmesh render --resume {folder} continues from its checkpoint" if run.has_checkpoint(folder) else ""
         raise FileError(f"{folder}: the run cannot be saved: {why}, nor in {other.parent}{kept}") from None
     say_note(f"{folder}: the run cannot be saved: {why}. It is in {other}; move it from there.")
     return other

@@ -238,7 +238,7 @@ def test_ctrl_c_keeps_the_finished_replicates(
 ) -> None:
     renderer.replicates_until_ctrl_c = 3
     assert main(["render", "scene.toml", "-o", "run"]) == 130
-    assert "Continue with lfmesh render --resume run." in capsys.readouterr().out
+    assert "To continue: lfmesh render --resume run\n" in capsys.readouterr().out
     image = lfmesh.open_run("run")
     assert (image.complete, image.replicates, image.samples) == (False, 3, 24.0)
     assert json.loads(Path("run/report.json").read_text())["complete"] is False

@@ -91,8 +91,8 @@ class Overrides:
     replicates: Annotated[
         Whole | None,
         Parameter(
-            help="Independent parts of the samples, whose spread gives the standard error (default: 8, or 4 with "
-            "split transmit)."
+            help="Independent parts of the samples, whose spread gives the standard error (default: the scene's, "
+            "else 8, or 4 with split transmit)."
         ),
     ] = None
     seed: Annotated[Whole | None, Parameter(help="Seed of the random numbers.")] = None

@@ -275,7 +275,7 @@ class Surface(Model):
         if self.qcon is not None and not self._rim_mm() <= LARGEST:
             yield Fault(("qcon",), None, f"makes a sag of more than {LARGEST:g} mm inside the clear aperture")
         elif self.qcon is not None and not within_floats(self.qcon.asphere_mm, self.qcon.norm_radius_mm):
-            yield Fault(("qcon", "norm_radius_mm"), self.qcon.norm_radius_mm, "its powers overflow float64")
+            yield Fault(("qcon", "norm_radius_mm"), self.qcon.norm_radius_mm, "its powers leave the range of float64")
         if self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
         yield from both_given(self.coating, self.finish, "finish")

@@ -25,7 +25,7 @@ def numbers(text: str | bytes, kind: type = np.float64) -> Array:
         except (DeprecationWarning, ValueError):
             pass
     wrong = next((word for word in text.split() if not _is_number(word, kind)), "?")
-    raise ValueError(f"{wrong[:40]!r} is not a number")
+    raise ValueError(f"{wrong[:40]!r} is not a {'number' if kind is np.float64 else 'whole number'}")
 
 
 def _is_number(word: str, kind: type) -> bool:

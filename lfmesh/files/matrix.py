@@ -104,7 +104,7 @@ def write_projection_matrix(
     with _told(path):
         done = _begin(parts, _facts(projector, chosen), len(blocks))
         if done and say is not None:
-            say(f"continues after {done} of {len(blocks)} finished blocks")
+            say(f"continues after {done} finished blocks of {len(blocks)}")
         finished = sum(len(block) for block in blocks[:done])
         for number, block in enumerate(computed(projector, blocks[done:]), start=done):
             with staged_file(parts, _name(number)) as file:

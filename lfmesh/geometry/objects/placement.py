@@ -177,7 +177,9 @@ def _warnings(
     eye = frame.points(to_world, np.zeros((1, 3)))[0]
     if low[2] >= 0.0:
         if low[2] > _sensor_z_mm(scene):
-            yield f"stands behind the sensor, from z = {low[2]:.5g} mm on; the camera looks along -z"
+            yield (
+                f"stands behind the sensor, from z = {low[2]:.5g} mm on in the camera frame; the camera looks along -z"
+            )
         elif not told:
             yield "stands behind the first vertex of the lens, where the camera does not look"
         return

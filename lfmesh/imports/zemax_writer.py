@@ -172,7 +172,7 @@ def _glass(where: str, matter: Surface | Matter) -> list[str]:
     glass = matter.glass
     if isinstance(glass, OwnGlass):
         if glass.nd is None or glass.air is not None:
-            raise SceneError(f"{where}.glass: a Zemax file cannot hold a {glass.in_words()}; write .seq")
+            raise SceneError(f"{where}.glass: a Zemax file cannot hold this glass, {glass.in_words()}; write .seq")
         return [f"  GLAS ___BLANK 1 0 {glass.nd!r} {glass.vd!r} 0 0 0 0 0 0"]
     if glass is not None:
         return [f"  GLAS {maker_and_name(glass, 'Zemax')[1]} 0 0 1.5 40 0 0 0 0 0 0"]

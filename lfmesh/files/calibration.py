@@ -38,8 +38,8 @@ MEANINGS = {
     "lenslet_pitch_mm": ("mm", "Distance of the centres of neighbouring lenslets, including the pitch error."),
     "pixel_mm": ("mm", "Width of a pixel."),
     "sensor_px": ("pixel", "Columns and rows of the sensor."),
-    "f_number": ("", "Working f-number of the main lens: distance of the exit pupil from the array over its diameter."),
-    "microlens_f_number": ("", "F-number of the lenslets: their distance from the sensor divided by their pitch."),
+    "f_number": ("", "Distance of the exit pupil from the array over its diameter: in air, the working f-number."),
+    "microlens_f_number": ("", "Distance of the lenslets from the sensor over their pitch: in air, their f-number."),
     "exit_pupil_z_mm": ("mm", "Position of the exit pupil, the image of the stop that the array sees, along the axis "
     "from the first vertex of the lens."),
     "exit_pupil_diameter_mm": ("mm", "Diameter of the exit pupil."),

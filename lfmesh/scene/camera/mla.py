@@ -10,7 +10,7 @@ from lfmesh.optics.glass import Medium
 from lfmesh.scene.camera.back_face import BackFace
 from lfmesh.scene.camera.lenslet_depth import cell_corner_mm, highest_and_deepest_mm, profile_words
 from lfmesh.scene.camera.per_type import ConicPerType, TermsPerType
-from lfmesh.scene.literals import at_least
+from lfmesh.scene.literals import at_least, counted
 from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.scene.materials.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.materials.own_glass import Glass
@@ -210,7 +210,8 @@ class MicrolensArray(Model):
         """Yield faults of the lenslet profiles."""
         for key, given in (("conic", self.conic), ("asphere_mm", self.asphere_mm)):
             if len(given) > 1 and len(given) != self.types:
-                why = f"{len(given)} are given; give one for each of the {self.types} lenslet types, or one for all"
+                types = counted(self.types, "lenslet type")
+                why = f"{len(given)} are given for {types}; give one for each, or one for all"
                 yield Fault((key,), list(given), why)
         if self.cylinder_axis is not None and self.layout != "square":
             yield Fault(("cylinder_axis",), self.cylinder_axis, 'cylinders need layout = "square"')

@@ -344,7 +344,9 @@ def _matching(scene: Scene, facts: "FirstOrder", microlens: float) -> str:
     radius = ratio * (camera.lens.surfaces[Paraxial.of(camera.lens, scene.primary_nm).stop].semi_diameter_mm or 0.0)
     ways = [f"camera.lens.stop_semi_diameter_mm = {radius:.4g}"]
     if not facts.focused and mla.types == 1 and not mla.has_back and len(sections(mla)) == 1:
-        length = facts.working_f_number * mla.pitch_mm
+        # The f-number takes the reduced focal length in the image medium; the key takes the one in air.
+        n, outside = camera.relative_index(mla.medium, scene.primary_nm), facts.image_index
+        length = facts.working_f_number * mla.pitch_mm * outside * (n - 1.0) / (n * outside - 1.0)
         ways.insert(0, f"camera.mla.focal_length_mm = {length:.4g} (sensor in the focal plane)")
     return f"; they match with {' or '.join(ways)}"
 

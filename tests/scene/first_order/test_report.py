@@ -284,11 +284,12 @@ def test_warnings_say_what_is_likely_to_disappoint(scene: Scene, values: dict[st
     assert f"Note: {facts.warnings[0]}" in str(facts)
 
 
+@pytest.mark.parametrize("behind", [1.0, 1.3])
 @pytest.mark.parametrize("stop_mm", [3.0, 8.0])
 def test_f_numbers_match_at_the_focal_length_and_at_the_stop_that_the_warning_names(
-    scene: Scene, stop_mm: float
+    scene: Scene, stop_mm: float, behind: float
 ) -> None:
-    off = scene.changed({"camera.lens.stop_semi_diameter_mm": stop_mm})
+    off = scene.changed({"camera.lens.stop_semi_diameter_mm": stop_mm, "camera.image_medium": {"index": behind}})
     (said,) = (warning for warning in first_order(off).warnings if "f-numbers do not match" in warning)
     named = dict(re.findall(r"(camera\.[a-z._]+) = ([\d.]+)", said))
     assert named.keys() == {"camera.mla.focal_length_mm", "camera.lens.stop_semi_diameter_mm"}

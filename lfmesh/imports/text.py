@@ -60,5 +60,6 @@ def _decoded(data: bytes, path: Path) -> str:
         text = body.decode("latin-1")
     strange = sum(sign < " " and sign not in "\t\r\n\f\x1a" for sign in text)
     if strange:
-        raise SceneError(f"{path}: not text: it holds {strange} control characters; a lens file is plain text")
+        signs = f"control character{'' if strange == 1 else 's'}"
+        raise SceneError(f"{path}: not text: it holds {strange} {signs}; a lens file is plain text")
     return text

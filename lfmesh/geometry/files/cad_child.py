@@ -90,7 +90,8 @@ def check_step(content: bytes) -> None:
     defined = set(map(int, _DEFINED.findall(bare)))
     missing = sorted(set(map(int, _NAMED.findall(bare))) - defined)
     if missing:
-        raise UnusableError(f"broken: {len(missing)} entities are named but missing, the first is #{missing[0]}")
+        entities = "entity is" if len(missing) == 1 else "entities are"
+        raise UnusableError(f"broken: {len(missing)} {entities} named but missing, the first is #{missing[0]}")
 
 
 def step_to_glb(content: bytes, tolerance_mm: float | None, factor: float = 1.0) -> bytes:

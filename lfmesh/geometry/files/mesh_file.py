@@ -116,7 +116,8 @@ def load_mesh(
             corners = piece.mesh.vertices[piece.mesh.faces]
             bad = int((~np.isfinite(corners)).any(axis=(1, 2)).sum())
             if bad:
-                raise MeshError(f"{path}: {bad} of {facets} facets have a corner that is not finite")
+                have = "has" if bad == 1 else "have"
+                raise MeshError(f"{path}: {bad} of {facets} facets {have} a corner that is not finite")
             if np.abs(corners).max(initial=0.0) > FARTHEST_MM:
                 raise MeshError(f"{path}: has a corner farther than {FARTHEST_MM:g} mm from the origin of its frame")
         if piece.uv is not None and not np.isfinite(piece.uv).all():

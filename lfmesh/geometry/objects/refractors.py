@@ -189,7 +189,8 @@ def _fault_of(mesh: Mesh) -> str:
     """Return the reason why a mesh is not closed or not consistently oriented."""
     doubled = len(mesh.faces) - len(np.unique(np.sort(mesh.faces, axis=1), axis=0))
     if doubled:
-        return f"{doubled} of its {len(mesh.faces)} facets are duplicates: another one has the same corners"
+        twice = "is a duplicate" if doubled == 1 else "are duplicates"
+        return f"{doubled} of its {len(mesh.faces)} facets {twice}: another one has the same corners"
     edges = np.sort(np.concatenate([mesh.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])]), axis=1)
     joins = np.unique(edges, axis=0, return_counts=True)[1]
     if (joins == 1).any():

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from lfmesh.optics.glass import complex_index
+from lfmesh.scene.literals import counted
 from lfmesh.scene.model import Fault, Model, nearest
 from lfmesh.scene.quantities import FilePath, FractionOfOne, GlassName, Positive
 
@@ -39,7 +40,8 @@ class MeasuredIndex(Model):
         for key in ("index", "extinction"):
             given = len(getattr(self, key))
             if given != count and (given or key == "index"):
-                yield Fault((key,), None, f"{given} numbers for {count} wavelengths; give one for each")
+                found = f"{counted(given, 'number')} for {counted(count, 'wavelength')}"
+                yield Fault((key,), None, f"{found}; give one for each")
         if any(after <= before for before, after in pairwise(self.wavelengths_nm)):
             yield Fault(("wavelengths_nm",), None, "must increase")
 

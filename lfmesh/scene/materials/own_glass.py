@@ -12,6 +12,7 @@ from lfmesh.errors import FileError, GlassError
 from lfmesh.optics.curve import curve_fault, read_curve
 from lfmesh.optics.dispersion import model_index, sellmeier_index, table_index
 from lfmesh.optics.glass import C_LINE_NM, D_LINE_NM, F_LINE_NM, glass_in_words, refractive_index
+from lfmesh.scene.literals import counted
 from lfmesh.scene.media.air import Air
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import FilePath, GlassName, Index, Number, Positive
@@ -118,9 +119,8 @@ class OwnGlass(Model):
         if not 1 <= len(b) <= MOST_TERMS:
             yield Fault(("sellmeier_b",), None, f"{len(b)} coefficients; give 1 to {MOST_TERMS}, usually 3")
         elif len(b) != len(c):
-            yield Fault(
-                ("sellmeier_c_um2",), None, f"{len(c)} coefficients, but {len(b)} in sellmeier_b; give equally many"
-            )
+            given = counted(len(c), "coefficient")
+            yield Fault(("sellmeier_c_um2",), None, f"{given}, but {len(b)} in sellmeier_b; give equally many")
         if any(value < 0.0 for value in c):
             yield Fault(("sellmeier_c_um2",), list(c), "squares of wavelengths, in µm², must be 0 or more")
 

@@ -94,7 +94,7 @@ def _spread(colour: Array, scene: Scene) -> tuple[float, dict[str, Any] | None, 
         return float(colour[0]), None, ""
     if scene.camera.sensor.bands is None:
         each = [float(primary_reflectances(wavelength) @ colour) for wavelength in scene.wavelengths_nm]
-        lost = "" if len(set(each)) == 1 else "; its colour is left out: a light is equal at single wavelengths"
+        lost = "" if len(set(each)) == 1 else "; its colour is left out: its power is equal at all wavelengths"
         return float(np.mean(each)), None, lost
     low, high = scene.reach_nm
     nm = np.linspace(low, high, 1 + max(1, math.ceil((high - low) / STEP_NM)))

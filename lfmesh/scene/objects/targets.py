@@ -138,7 +138,7 @@ class Target(BodyFile):
             for key in ("shape", *BodyFile.model_fields):
                 if getattr(self, key) is not None:
                     yield Fault((key,), getattr(self, key), "a refractor is given too; give one of them")
-            yield from self._file_faults("glass has no material or normals of its own; omit it")
+            yield from self._file_faults("a refractor does not take it; omit it")
             if self.material != Material():
                 yield Fault(("material",), None, "glass has no material: it only reflects and refracts; omit it")
             return

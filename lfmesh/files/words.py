@@ -298,9 +298,9 @@ def _noise_lines(image: Image, measured: Noise) -> list[str]:
 def _without_hits(image: Image, pixels: int) -> str:
     share = percent(pixels / (image.mean.shape[0] * image.mean.shape[1]))
     return (
-        f"{pixels:,} pixels, {share}, received no light. Their value is 0; upper bounds are in image.upper."
+        f"No path brought light to {pixels:,} pixels, {share}. Their value is 0; upper bounds are in image.upper."
         if pixels > 1
-        else f"1 pixel, {share}, received no light. Its value is 0; its upper bound is in image.upper."
+        else f"No path brought light to 1 pixel, {share}. Its value is 0; its upper bound is in image.upper."
     )
 
 

@@ -64,13 +64,15 @@ def test_the_stated_noise_is_the_true_error_and_four_times_the_samples_halve_it(
 
 def test_a_run_says_how_many_pixels_found_no_light_and_when_samples_are_too_few(image_of: Build) -> None:
     hits = np.full((60, 80, 1), 64, np.uint32)
-    assert "received no light" not in text(image_of(hits=hits))
+    assert "No path brought light" not in text(image_of(hits=hits))
     assert "too few samples" not in text(image_of(hits=hits))
     hits[:6] = 0
     image = image_of(hits=hits)
     image.mean[:6] = image.stderr[:6] = 0.0
     assert words.noise(image).without_hits == 480
-    assert "480 pixels, 10 %, received no light. Their value is 0; upper bounds are in image.upper." in text(image)
+    assert "No path brought light to 480 pixels, 10 %. Their value is 0; upper bounds are in image.upper." in text(
+        image
+    )
     hits[6:26] = 9
     assert words.noise(image).few_hits_share == pytest.approx(20 / 54)
     assert "In 37 % of the lit pixels fewer than 10 samples found light" in text(image)

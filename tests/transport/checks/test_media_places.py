@@ -78,7 +78,7 @@ def test_a_mesh_and_the_inside_of_a_body_are_as_deep_as_the_box_round_them_at_mo
     inside = place_of(ball(inside="glass"), targets=[glass])
     for place in (mesh, inside):
         (line,) = (line for line in place.lines(587.6) if "optical depth" in line)
-        assert line.endswith("; these are upper limits, of the box round it")
+        assert line.endswith("; these are upper limits, of the box around it")
     assert not any("upper limits" in line for line in place_of(ball()).lines(587.6))
 
 

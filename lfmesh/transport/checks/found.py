@@ -24,7 +24,7 @@ from lfmesh.errors import (
     TooFewSamplesWarning,
 )
 from lfmesh.scene import Scene
-from lfmesh.scene.literals import percent, plain
+from lfmesh.scene.literals import counted, percent, plain
 from lfmesh.scene.objects.shapes import Box
 from lfmesh.transport.aims.fitting import ALLOWED
 from lfmesh.transport.checks.aim_proof import AimProof
@@ -230,7 +230,8 @@ def _open(ledger: Ledger) -> Iterator[PictureWarning]:
 def _no_numbers(image: "Image") -> Iterator[PictureWarning]:
     if count := int(np.count_nonzero(~np.isfinite(image.mean))):
         yield OpenLedgerWarning(
-            f"{count} values of the picture are not numbers. This is a fault of lfmesh: please report the scene"
+            f"{counted(count, 'value')} of the picture {'is not a number' if count == 1 else 'are not numbers'}. "
+            "This is a fault of lfmesh: please report the scene"
         )
 
 
@@ -251,8 +252,9 @@ def _heavy_paths(image: "Image") -> Iterator[PictureWarning]:
         return
     yield HeavyPathsWarning(
         f"few paths bring much of the light. In {percent(heavy.share)} of the blocks of {SIDE} × {SIDE} pixels one "
-        f"pixel holds up to {percent(heavy.held)} of the light, from paths {plain(heavy.heavier, 2)} times as heavy "
-        "as the others. Pixels without such a path are too dark, and their errors too small. Take many more samples"
+        f"pixel holds up to {percent(heavy.held)} of its block's light, from paths {plain(heavy.heavier, 2)} times as "
+        "heavy as the others. Pixels without such a path are too dark, and their errors too small. Take many more "
+        "samples"
     )
 
 

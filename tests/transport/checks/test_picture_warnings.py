@@ -411,5 +411,5 @@ def test_a_picture_with_values_that_are_no_numbers_is_warned_of() -> None:
     spoiled = image.mean.copy()
     spoiled[0, 0] = np.nan
     told = found(replace(image, mean=spoiled))
-    assert any("1 values of the picture are not numbers" in str(each) for each in told)
+    assert any("1 value of the picture is not a number" in str(each) for each in told)
     assert not any("not numbers" in str(each) for each in found(image))

@@ -41,13 +41,13 @@ def lamps_in_field(world: World) -> Iterator[PictureWarning]:
         light = world.scene.lights[number]
         if named == MOST_NAMED:
             yield MissedLightWarning(
-                f"lights[{number}] and perhaps more of the {len(world.scene.lights)} lights stand in the field; only "
-                "the first is named"
+                f"lights[{number}] and perhaps more of the {len(world.scene.lights)} lights stand in the field; no "
+                "further ones are named"
             )
             return
         yield MissedLightWarning(
-            f"lights[{number}] stands in the field, but lamps only light targets and are not seen themselves. To see "
-            "it, replace it by a target with radiance_w_m2_sr"
+            f"lights[{number}] stands in the field, but lamps light the scene and are not seen themselves. To see it, "
+            "replace it by a target with radiance_w_m2_sr"
         )
         if scatters and light.region is not None and light.region.thickness_mm > 0.0:
             yield HeavyPathsWarning(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import MissedLightWarning
 from lfmesh.geometry.objects.targets import named_target
 from lfmesh.scene import Scene
-from lfmesh.scene.literals import plain
+from lfmesh.scene.literals import counted, plain
 from lfmesh.transport.events.facets import FLOAT32_GRAIN
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.regions.first_met import first_met
@@ -98,7 +98,7 @@ def _named(scene: Scene, shining: list[tuple[int, int, float]]) -> Iterator[Miss
     if shining:
         lamp, target, off = shining[0]
         others = len({number for number, _, _ in shining}) - 1
-        more = f", as do {others} more lights" if others else ""
+        more = f" (likewise {counted(others, 'more light')})" if others else ""
         yield MissedLightWarning(
             f"lights[{lamp}] stands on {named_target(scene, target)} and shines onto it{more}. It is traced "
             f"{plain(off, 2)} mm off the surface, and light of the spot below it may be missing. Move it some tenths "

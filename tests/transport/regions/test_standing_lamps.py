@@ -97,7 +97,7 @@ def test_lamps_that_shine_all_round_move_to_the_front_of_their_surface_and_are_n
     assert (shift[2] == 0.0).all()
     assert len(said) == 1
     assert "lights[0] stands on targets[1]" in said[0]
-    assert "as 1 more" in said[0]
+    assert "shines onto it (likewise 1 more light). It is" in said[0]
 
 
 @pytest.mark.filterwarnings("ignore::lfmesh.MissedLightWarning")

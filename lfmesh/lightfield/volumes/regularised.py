@@ -346,8 +346,8 @@ def strength_by_discrepancy(problem: Problem, say: Say) -> tuple[float, Array]:
             break
     if nearly is None:
         raise LfmeshError(
-            f'strength = "discrepancy": no volume explains the image within its noise: {tried[-1][1]:.3g} of its '
-            'variance remains; give a larger noise, or strength = "half-sets"'
+            f'strength = "discrepancy": no volume explains the image within its noise: {tried[-1][1]:.3g} times '
+            'its variance remains; give a larger noise, or strength = "half-sets"'
         )
     low, before = nearly
     high = min(low * STEP, STRONGEST)

@@ -114,8 +114,8 @@ def why_unknown(problem: Problem, strength: float, x: Array, halved: Halved, *, 
     left = problem.misfit(x) / len(problem.b)
     if is_noise_known and left > LEFT * (1.0 + chance(len(problem.b))):
         return (
-            f"the residual of the image is {left:.3g} of the noise's variance: the strength of {strength:.3g} is too "
-            "large, the noise too small, or the image does not belong to this matrix"
+            f"the squared residual of the image is {left:.3g} times the noise's variance: the strength of "
+            f"{strength:.3g} is too large, the noise too small, or the image does not belong to this matrix"
         )
     if further.gain > SIGMAS * further.by_chance and own.gain < KEPT * further.gain:
         return f"the strength of {strength:.3g} is too large for the image: a smaller one uses more of it"

@@ -81,7 +81,7 @@ def test_a_rendered_flame_is_as_near_as_the_best_strength_brings_it_and_its_erro
     assert off < 0.9 * np.linalg.norm(true)
     assert 0.8 < found.total_error / off < 1.25
     if side > 1:
-        with pytest.warns(lf.UnknownErrorWarning, match="the residual of the image is"):
+        with pytest.warns(lf.UnknownErrorWarning, match="the squared residual of the image is"):
             unsure = lf.reconstruct(matrix, seen, "tikhonov", noise=own, strength=found.strength)
         assert np.isnan(unsure.total_error)
 

@@ -115,10 +115,10 @@ def refuse_scene(scene: Scene) -> None:
     """Refuse a scene with media, tanks, bodies of glass, a polariser or rough faces."""
     if scene.media or scene.tanks:
         name = "media" if scene.media else "tanks"
-        raise LfmeshError(f"{name}: a point spread is computed through air only; omit them")
+        raise LfmeshError(f"{name}: a point spread cannot be computed through them; omit them")
     body = next((i for i, target in enumerate(scene.targets) if target.refractor is not None), None)
     if body is not None:
-        raise LfmeshError(f"targets[{body}] is a body of glass: a point spread is computed through air only; omit it")
+        raise LfmeshError(f"targets[{body}] is a body of glass: a point spread cannot be computed through it; omit it")
     if scene.camera.polariser_deg is not None:
         raise LfmeshError(
             f"camera.polariser_deg = {scene.camera.polariser_deg:g}: a point spread has no polarisation; omit it"

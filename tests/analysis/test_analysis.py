@@ -241,7 +241,7 @@ def test_the_sheet_is_drawn_and_says_the_same_again(doublet: lf.LensAnalysis, tm
     one, other = (draw_lens_sheet(doublet, tmp_path / name).read_bytes() for name in ("a.pdf", "b.pdf"))
     assert one == other
     assert one.startswith(b"%PDF")
-    with pytest.raises(LfmeshError, match="a lens sheet is one of"):
+    with pytest.raises(LfmeshError, match="a lens sheet must end in one of"):
         draw_lens_sheet(doublet, tmp_path / "a.docx")
 
 
@@ -268,7 +268,7 @@ def test_a_sheet_that_cannot_be_written_is_refused_before_the_lens_is_analysed(
     assert main(["lens", "sheet", scene, "-o", str(tmp_path / "sheet.docx")]) != 0
     assert main(["lens", "sheet", scene, "-o", str(tmp_path / "none" / "sheet.html")]) != 0
     errors = capsys.readouterr().err
-    assert "a lens sheet is one of .svg, .png, .pdf, .html" in errors
+    assert "a lens sheet must end in one of .svg, .png, .pdf, .html" in errors
     assert "does not exist; create it" in errors
 
 

@@ -165,8 +165,8 @@ def test_each_ending_makes_its_kind_of_file(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("layout.jpg", r"ends in \.jpg; a drawing is one of \.svg, \.png, \.pdf"),
-        ("layout", r"has no ending; a drawing is one of \.svg, \.png, \.pdf"),
+        ("layout.jpg", r"ends in \.jpg; a drawing must end in one of \.svg, \.png, \.pdf"),
+        ("layout", r"has no ending; a drawing must end in one of \.svg, \.png, \.pdf"),
         ("nowhere/layout.svg", "nowhere does not exist"),
         ("folder.svg", "cannot be written"),
     ],
@@ -199,7 +199,7 @@ def test_the_command_draws_and_says_where(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out.split() == ["layout.svg"]
     assert (tmp_path / "layout.svg").read_bytes().startswith(b"<?xml")
     assert main(["draw", scene, "-o", "layout.gif"]) == 2
-    assert "a drawing is one of" in capsys.readouterr().err
+    assert "a drawing must end in one of" in capsys.readouterr().err
 
 
 def test_names_side_by_side_keep_their_order_their_room_and_their_borders():

@@ -42,7 +42,7 @@ def sphere_of(phase: MiePhase, wavelength_nm: float, where: str, surrounding: fl
     round_them = phase.surrounding_index if phase.surrounding_index is not None else float(surrounding)
     if index == round_them:
         raise SceneError(
-            f"{where}.index = {phase.index:g}: equals that of the surroundings; the spheres scatter nothing"
+            f"{where}.index = {phase.index:g}: equals the index of the surroundings, so the spheres scatter nothing"
         )
     try:
         return mie_sphere(phase.diameter_um, index, wavelength_nm, round_them, phase.sigma)

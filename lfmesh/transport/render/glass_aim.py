@@ -215,7 +215,7 @@ def refuse_unaimed(world: World) -> None:
     if proof is not None and proof.missed > TOO_MUCH and world.scene.transport.method == "forward":
         raise SceneError(
             f'transport.method = "forward" cannot aim {percent(proof.missed)} of the light at the lens, because it '
-            'passes or reflects off glass on too many paths; use "adjoint"'
+            'passes through glass or reflects off it on too many paths; use "adjoint"'
         )
 
 

@@ -28,7 +28,8 @@ def refuse_displaced(boundary: Array, where: str, hosts: Hosts, body: int | None
         touching = hosts.touching_mm(boundary, [body])
         its = hosts.corners[body]
         if not (_reaches_into(boundary, its, touching) or _reaches_into(its, boundary, touching)):
-            raise SceneError(f"{where}: lies wholly outside {hosts.names[body]}, which inside names: move it")
+            name = hosts.names[body]
+            raise SceneError(f'{where}: lies wholly outside {name}, though inside = "{name}": move it')
         return
     tops = hosts.top_along(boundary, just_inside=True)
     if None in tops or _holds_a_hollow(boundary, hosts):

@@ -207,7 +207,7 @@ def refusal(world: World, points_mm: ArrayLike) -> str | None:
     """
     scene, shape = world.scene, world.lens_shape
     if not (shape.analytic.all() and (shape.surfaces["level"] == EXACT).all()):
-        return 'they need exact surfaces of the lens: transport.surface = "exact", and no mesh glass in it'
+        return 'sequences need exact surfaces of the lens: transport.surface = "exact", and no mesh glass in it'
     if scene.transport.polarisation:
         return "transport.polarisation = true: sequences are followed without polarisation"
     if (number := scene.camera.lens.number_off_revolution) is not None:

@@ -191,7 +191,7 @@ def _particles(world: World, number: int) -> Rows:
     table = next((each for each in world.particles if each.entry == number), None)
     if table is None:
         return [("particles", "none of them emits light")]
-    return [("particles", f"{len(table.points):,} that emit light"), ("packets", f"{table.samples} each")]
+    return [("particles", f"{len(table.points):,} emitting light"), ("packets", f"{table.samples} each")]
 
 
 def _fields(model: Model) -> Rows:

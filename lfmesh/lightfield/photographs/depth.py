@@ -118,7 +118,8 @@ class DepthMap(Pictured):
                 f"No target surface that the camera sees lies in the range searched, {reach}: there is no true depth "
                 f"to compare with{none}."
             )
-        untold = f" Without true depth: {names}; where they appear, the truth is the depth of the targets behind."
+        appear = "it appears" if len(without_depth) == 1 else "they appear"
+        untold = f" Without true depth: {names}; where {appear}, the truth is the depth of the targets behind."
         middle, most = np.percentile(error, [50.0, 90.0])
         return (
             f"Depth is off by {middle:.2%} in the median and by less than {most:.2%} in nine of ten of the "

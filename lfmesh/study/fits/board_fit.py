@@ -18,7 +18,7 @@ from lfmesh.lightfield.calibration.calibration import calibrate
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.rays.ray_model import RayModel
 from lfmesh.scene import Scene
-from lfmesh.scene.literals import plain
+from lfmesh.scene.literals import counted, plain
 from lfmesh.study.fits.board_corners import BoardCorners
 from lfmesh.study.fits.board_pictures import Board, corners_of
 from lfmesh.study.fits.board_pose import BoardPose, first_pose, pose_of, world_pose
@@ -128,9 +128,8 @@ class BoardFit:
     @property
     def notes(self) -> tuple[str, ...]:
         """Reservations about the values, one sentence each."""
-        more = (
-            (f"{self.left_out} places of corners were left out as outliers, far from the fit",) if self.left_out else ()
-        )
+        places = f"{counted(self.left_out, 'place')} of corners"
+        more = (f"outliers far from the fit: {places} left out",) if self.left_out else ()
         return (*self.white.notes, *more)
 
     def traded(self, board: int) -> tuple[float, float]:

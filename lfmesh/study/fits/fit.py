@@ -19,7 +19,7 @@ from lfmesh.lightfield.calibration.calibration import calibrate
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.rays.ray_model import RayModel
 from lfmesh.scene import Scene
-from lfmesh.scene.literals import plain
+from lfmesh.scene.literals import counted, plain
 from lfmesh.study.fits.fit_errors import Split, neighbours_meat
 from lfmesh.study.fits.fit_model import FitModel, Parameter, parameters_of, smooth
 from lfmesh.study.fits.micro_image_phase import micro_image_places
@@ -153,7 +153,7 @@ class Fit:
         """Reservations about the values, one sentence each."""
         if not self.left_out:
             return ()
-        return (f"{self.left_out} micro-images were left out as outliers, far from the fit",)
+        return (f"outliers far from the fit: {counted(self.left_out, 'micro-image')} left out",)
 
 
 def fit(

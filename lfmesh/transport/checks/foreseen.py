@@ -46,8 +46,9 @@ def _folded(world: World) -> Iterator[PictureWarning]:
     if folded:
         whole = folded + sum(len(np.unique(tree.patches["facet"])) for tree in trees)
         yield FoldedPatchesWarning(
-            f"{folded} of {whole} facets of curved glass have normals that fit no smooth patch, so grazing rays may "
-            "pass as if there were no glass. Use finer facets with fitting normals (crease_deg estimates them)"
+            f"{folded} of {whole} facets of curved glass {'has' if folded == 1 else 'have'} normals that fit no smooth "
+            "patch, so grazing rays may pass as if there were no glass. Use finer facets with fitting normals "
+            "(crease_deg estimates them)"
         )
 
 

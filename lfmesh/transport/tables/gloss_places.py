@@ -46,10 +46,11 @@ def _refuse_lower_index(scene: Scene, number: int, target: TargetMesh, hosts: Ho
     given = scene.targets[number]
     gloss, most = given.material.gloss, float(hosts.index_of(body).max())
     where = "camera.object_medium" if body is None else hosts.names[body]
+    move = "" if body is None else "move the target out of it, or "
     if gloss is not None and gloss.index is not None and gloss.index < most:
         raise SceneError(
             f"targets[{number}].material.gloss.index = {gloss.index:g}: must not be below that of {where}, {most:.6g}, "
-            "into which the target reaches: move the target out of it, or give a higher index"
+            f"into which the target reaches: {move}give a higher index"
         )
     if any(each.metallic < 1.0 for each in target.materials) and most > DIELECTRIC_INDEX:
         raise SceneError(

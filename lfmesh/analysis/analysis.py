@@ -58,7 +58,7 @@ DEFINITIONS = (
     "pass: share of the stop's points, unweighted; Airy radius (circle): 1.22 λ N, primary wavelength, working N",
     "path differences: + ahead of the sphere around the primary chief ray's image, relative to each colour's chief ray",
     "wavefront: primary wavelength; rms without the mean, tilt included; Strehl ratio from it, weighted as spots",
-    "point spread: by diffraction, all wavelengths, relative to the same light in phase; circle: Airy",
+    "point spread: by diffraction, all wavelengths, relative to the peak of the same light in phase; circle: Airy",
     "MTF: by waves (thick), and by rays, the modulus of the spot's transform (thin); all wavelengths, equal weights",
     "diffraction limit (dotted): a perfect round pupil on the axis at the working f-number, all wavelengths",
 )
@@ -165,9 +165,10 @@ class LensAnalysis(Shown):
             return f"{words}, and the object has no real image"
         beyond = image + camera.paraxial.length_mm - self.image_z_mm
         side = "behind" if beyond > 0.0 else "before"
+        origin = "" if camera.scene.camera.focus_from == "first_vertex" else ', camera.focus_from = "first_vertex"'
         return (
             f"{words}, and the object's paraxial image lies {abs(beyond):.4g} mm {side} the image plane; to "
-            f"refocus, give camera.focus_mm = {literal(self.object_mm)} and omit the distances"
+            f"refocus, give camera.focus_mm = {literal(self.object_mm)}{origin} and omit the distances"
         )
 
     def __repr__(self) -> str:

@@ -85,7 +85,7 @@ OF_VIEWS = (
 OF_PATCHES = (
     "photograph: each pixel at its lenslet's apex and the shift times its distance from the chief ray, "
     "interpolated linearly, weighted as render_patches does; not divided by the sum of weights",
-    "inner, outer pixels: inside and outside half the radius of the micro-images",
+    "inner, outer pixels: inside and outside half the usable radius of the micro-images",
 )
 
 

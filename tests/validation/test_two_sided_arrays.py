@@ -401,7 +401,7 @@ def test_decoding_refuses_the_plate_in_one_line():
             {"camera.mla.back.radius_mm": 0.1, "camera.mla.radius_mm": 0.09, "camera.mla.thickness_mm": 0.1},
             "so they meet inside the plate: give thickness_mm",
         ),
-        ({"camera.mla.radius_mm": None, "camera.mla.focal_length_mm": 0.5}, "camera.mla.focal_length_mm = .0.5.: with c"),
+        ({"camera.mla.radius_mm": None, "camera.mla.focal_length_mm": 0.5}, "mla.focal_length_mm = .0.5.: with camera"),
         (
             {"camera.mla.back.cylinder_axis": "x", "camera.mla.layout": "hexagonal"},
             'camera.mla.back.cylinder_axis = "x": cylinders need layout = "square"',

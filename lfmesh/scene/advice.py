@@ -390,7 +390,7 @@ def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
         if 1.0 < width < math.inf:
             yield DiffractionWarning(
                 f"the {whose} Airy disk is {width:.3g} {samples} wide (f/{f_number:.3g}, "
-                f"{facts.airy_wavelength_nm:g} nm), but diffraction is not traced{advice}"
+                f"{facts.airy_wavelength_nm:g} nm), but this diffraction is not traced{advice}"
             )
 
 

@@ -214,7 +214,7 @@ def test_the_airy_disks_are_said_and_warned_of_above_one_sample(image_of: Build,
     lines = text(image_of(infrared))
     assert "Diffraction is not traced" not in lines
     assert "Warning: the lens's Airy disk is 1.09 lenslets wide" in lines
-    assert "10000 nm), but diffraction is not traced" in lines
+    assert "10000 nm), but this diffraction is not traced" in lines
 
 
 @pytest.mark.parametrize(("lost", "said"), [(0.99e-7, False), (1.01e-7, True)])

@@ -381,14 +381,14 @@ def _pixels(name: str, image: ArrayLike, rows: int, matrix: Any, *, is_error: bo
         raise LfmeshError(f"{name} must be numbers: {error}") from None
     if b.size != rows or (b.ndim == 3 and b.shape[2] != 1) or b.ndim > 3:
         raise LfmeshError(
-            f"the {name} has the shape {b.shape}, but the matrix {rows} rows, one per pixel: give {rows} values"
+            f"the {name} has the shape {b.shape}, but the matrix has {rows} rows, one per pixel: give {rows} values"
         )
     if isinstance(matrix, ProjectionMatrix) and b.ndim > 1 and matrix.sensor_pixels is not None:
         fits = matrix.image_shape
         if b.shape[:2] != fits:
             valid = f"of the shape {fits}: give that, or" if fits else "that fill no rectangle: give"
             raise LfmeshError(
-                f"the {name} has the shape {b.shape}, but the matrix {rows} pixels {valid} {rows} values in a row"
+                f"the {name} has the shape {b.shape}, but the matrix has {rows} pixels {valid} {rows} values in a row"
             )
     if not is_error and not np.isfinite(b).all():
         raise LfmeshError("the image has values that are not finite")

@@ -307,7 +307,7 @@ def test_samples_that_replicates_cannot_share_are_rounded_up() -> None:
 def test_trees_of_reflections_without_an_end_are_refused_in_a_render(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "MOST_EVENTS_EACH", 300)
     lf.render(scene(split="both", samples=1, replicates=1, engine="mesh"))
-    with pytest.raises(LfmeshError, match=r"300 events each .* raise weight_cutoff above 0, or lower max_events"):
+    with pytest.raises(LfmeshError, match=r"300 events each, .* raise weight_cutoff above 0, or lower max_events"):
         lf.render(scene(split="both", samples=1, replicates=1, weight_cutoff=0.0, max_events=64, engine="mesh"))
 
 

@@ -192,7 +192,7 @@ class EngineRun:
 
     def launched(self, chunk: range) -> Workspace:
         """Start the packets of one chunk in the workspace of the calling thread, and return that."""
-        return self._launcher.launch(self.source, chunk)
+        return next(self._launcher.launches(self.source, chunk))
 
     def run(self, _: Any) -> None:
         """Trace all chunks."""

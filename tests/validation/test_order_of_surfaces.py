@@ -153,7 +153,7 @@ def waiting_packets(
     """Return packets that wait for a surface of lens or array, of the first rays whose packets are as many."""
     options = options_of(world, tracing=True, faces=BY_ORDER_OR_MESH, split=BOTH, cutoff=0.02)
     source = source or rays_from_both_sides(world, 2 * count // (3 * len(world.tables.lens.surfaces)), seed)
-    work = Launcher(lambda: Workspace(world, options)).launch(source)
+    work = next(Launcher(lambda: Workspace(world, options)).launches(source))
     work.sampled = []
     work.run()
     packets = np.concatenate(work.sampled)

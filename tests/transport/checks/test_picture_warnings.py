@@ -275,7 +275,7 @@ def no_proof_rays(patch: Patch, _: Path) -> lf.Scene:
 @pytest.mark.parametrize(
     ("case", "words"),
     [
-        (lens_of_a_mesh_file, "as the lens has surfaces of mesh files"),
+        (lens_of_a_mesh_file, "because the lens has surfaces of mesh files"),
         (few_proof_rays, "test rays cannot rule out less"),
         (no_proof_rays, "no ray from the stop could be traced to the sensor"),
     ],

@@ -77,9 +77,9 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
         (2.4, "microlens array", f"{mla.count[0]} × {mla.count[1]} {mla.layout}{shape}"),
         (1.2, "pitch", length_in_words(mla.pitch_mm)),
         (1.8, "lenslet focal length", f"{focal} mm"),
-        (1.2, "lenslet f-number", number),
+        (1.0, "lenslet f-number", number),
         (1.4, "micro-image", micro),
-        (2.0, "sensor", pixels),
+        (2.2, "sensor", pixels),
     ]
     return [first, second]
 

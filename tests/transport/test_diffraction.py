@@ -352,14 +352,19 @@ def test_the_aim_holds_the_diffracted_light_but_for_far_changes_of_direction(kin
     assert proof.diffracted is not None
     assert proof.holds
     assert not proof.fallback
-    assert proof.diffracted.share + 3.0 * proof.diffracted.error < ALLOWED
     tables, random = world.tables, np.random.default_rng(7)
     through = CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames)
-    rays = rays_from_stop(through, 0.05, random)
-    held = beyond_sensor_aim(world.aim, through, rays) <= 1.0
-    unmoved = beyond_sensor_aim(world.aim, through, rays._replace(kick=np.zeros_like(rays.kick))) <= 1.0
+    draws = [rays_from_stop(through, 0.05, random) for _ in range(8)]
+    held = [beyond_sensor_aim(world.aim, through, rays) <= 1.0 for rays in draws]
+    unmoved = [
+        beyond_sensor_aim(world.aim, through, rays._replace(kick=np.zeros_like(rays.kick))) <= 1.0 for rays in draws
+    ]
     # Aimed as if rays had not changed their directions, far more of them would lie outside.
-    assert np.count_nonzero(~held) < 0.2 * np.count_nonzero(~unmoved)
+    missed = sum(np.count_nonzero(~inside) for inside in held)
+    assert missed < 0.2 * sum(np.count_nonzero(~inside) for inside in unmoved)
+    # Rays of its own tell the share better than the proof's, of which one or three lie outside.
+    shares = [rays.throughput[~inside].sum() / rays.throughput.sum() for rays, inside in zip(draws, held, strict=True)]
+    assert np.mean(shares) + 3.0 * np.std(shares, ddof=1) / np.sqrt(8.0) < ALLOWED
 
 
 def spread_of_samples(each: int, replicates: int) -> float:

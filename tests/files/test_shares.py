@@ -159,7 +159,7 @@ def test_what_cannot_be_divided_or_written_is_one_line(scene_of: Callable[[str],
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match="cannot be written"):
         trace_share(scene, tmp_path / "file", 1, 2)
-    with pytest.raises(FileError, match="no share of a render"):
+    with pytest.raises(FileError, match="not a share of a render"):
         trace_share(scene, tmp_path, 1, 2)
 
 

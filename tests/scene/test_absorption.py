@@ -56,7 +56,7 @@ def test_a_cover_of_unknown_transmittance_is_refused_in_one_line() -> None:
             {"wavelengths_nm": [400.0, 700.0], "values": [0.1, -0.1]},
             r"value -0.1 at 700 nm: it must be a finite number, 0 or more",
         ),
-        ({"wavelengths_nm": [600.0, 700.0], "values": [0.1, 0.1]}, r"reaches from 600 to 700 nm"),
+        ({"wavelengths_nm": [600.0, 700.0], "values": [0.1, 0.1]}, r"extends from 600 to 700 nm"),
     ],
 )
 def test_a_coefficient_that_cannot_be_is_refused_in_one_line(value: Any, message: str) -> None:

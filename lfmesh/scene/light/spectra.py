@@ -163,7 +163,7 @@ def curve_of(spectrum: float | Spectrum, reach_nm: tuple[float, float], scene: R
     if not curve.holds(first, last):
         shortest, longest = curve.ends_nm
         raise SceneError(
-            f"{where}: its spectrum extends from {shortest:g} to {longest:g} nm, but the scene's wavelengths from "
+            f"{where}: its spectrum extends from {shortest:g} to {longest:g} nm, but the scene's wavelengths lie from "
             f"{first:g} to {last:g} nm"
         )
     return curve

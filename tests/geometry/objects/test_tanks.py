@@ -140,7 +140,7 @@ def test_a_tank_is_two_bodies_that_nest_and_a_solved_scene_has_them_among_its_ta
         ({"liquid": {"index": 1.3, "absorption_per_mm": "D65"}}, r'absorption_per_mm = "D65": a coefficient is'),
         (
             {"wall": {"index": 1.5, "absorption_per_mm": {"wavelengths_nm": [600.0, 700.0], "values": [0.1, 0.1]}}},
-            r"tanks\[0\]\.wall\.absorption_per_mm: .*reaches from 600 to 700 nm",
+            r"tanks\[0\]\.wall\.absorption_per_mm: .*extends from 600 to 700 nm",
         ),
         ({"liquid": {}}, r"tanks\[0\]\.liquid\.index: missing"),
         ({"wall": {"index": 1.5, "glass": "SCHOTT/N-BK7"}}, r"index = 1.5 is given too"),

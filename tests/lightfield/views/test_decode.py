@@ -186,8 +186,8 @@ def test_faults_are_told_in_one_line(camera: Callable[..., Scene], image_of: Cal
         (lambda: decode(image, white=smaller), "the white image has the shape"),
         (lambda: decode(image, calibration=calibrate(camera(columns=4))), "the calibration is of 4 × 12 lenslets"),
         (lambda: decode(image).view(10, 0), "v = 10"),
-        (lambda: decode(image).epi(), "one of them"),
-        (lambda: decode(image).epi(t=1, s=2), "one of them"),
+        (lambda: decode(image).epi(), "either a row t or a column s"),
+        (lambda: decode(image).epi(t=1, s=2), "either a row t or a column s"),
     ]
     for fault, words in cases:
         with pytest.raises(lf.LfmeshError, match=words) as caught:

@@ -71,7 +71,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({**IN_BANDS, LIGHT: {"name": "A", "blackbody_k": 3000.0}}, r"blackbody_k = 3000\.0: name is given too"),
     ({**IN_BANDS, LIGHT: {"blackbody_k": 0.0}}, r"blackbody_k = 0\.0: must be 1 or more"),
     ({**IN_BANDS, LIGHT: {"wavelengths_nm": (400.0, 700.0), "values": (1.0, 1.0)}},
-     r"spectrum: its spectrum extends from 400 to 700 nm, but the scene's wavelengths from 380 to 735 nm"),
+     r"spectrum: its spectrum extends from 400 to 700 nm, but the scene's wavelengths lie from 380 to 735 nm"),
     ({**IN_BANDS, LIGHT: {"wavelengths_nm": (300.0, 900.0), "values": (1.0,)}}, r"2 wavelengths and 1 values"),
     ({**IN_BANDS, LIGHT: {"wavelengths_nm": (900.0, 300.0), "values": (1.0, 1.0)}}, "wavelengths must increase"),
     ({**IN_BANDS, LIGHT: {"wavelengths_nm": (300.0, 900.0), "values": (1.0, -1.0)}}, "value -1 at 900 nm"),

@@ -60,7 +60,7 @@ def test_a_template_without_what_it_is_about_is_refused(tmp_path: Path, capsys: 
     scene = lf.load(SCENE).changed({"camera.mla": None, "camera.sensor.distance_mm": None, "targets": ()})
     (tmp_path / "scene.toml").write_text(scene.dump_toml())
     assert main(["study", "--template", "manufacturing", str(tmp_path / "scene.toml"), "-o", "x.toml"]) == 2
-    assert "there is none" in capsys.readouterr().err
+    assert "need a microlens array, but the camera has none" in capsys.readouterr().err
     assert main(["study", "--template", "asembly", str(SCENE), "-o", "x.toml"]) == 2
     assert "did you mean 'assembly'" in capsys.readouterr().err
 

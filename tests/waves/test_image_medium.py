@@ -50,7 +50,10 @@ def test_the_spread_of_a_far_point_in_oil_is_airys_of_its_wavelength_there() -> 
 
 
 def test_only_ratios_of_indices_count_for_waves() -> None:
-    """With every index and the wavelength times n the picture of a point is the same, lenslets and cover included."""
+    """With every index and the wavelength times n the picture of a point is the same, lenslets and cover included.
+
+    The waves through the lenslets take other grids, which change the picture by less than the change that it states.
+    """
     n = 1.25
     camera = {
         "focus_mm": 300.0,
@@ -70,5 +73,19 @@ def test_only_ratios_of_indices_count_for_waves() -> None:
     point = (0.0, 0.0, -300.0)
     dry = lf.point_spread(air, point, 500.0, tolerance=0.05)
     wet = lf.point_spread(air.changed(times), point, 500.0 * n, tolerance=0.05)
-    np.testing.assert_allclose(wet.mean, dry.mean, rtol=0.0, atol=1e-6 * dry.mean.max())
+    assert max(dry.change, wet.change) < 2e-3
+    np.testing.assert_allclose(wet.mean, dry.mean, rtol=0.0, atol=max(dry.change, wet.change) * dry.mean.max())
     assert wet.airy_radius_mm == pytest.approx(dry.airy_radius_mm, rel=1e-9)
+
+
+def test_without_lenslets_only_ratios_of_indices_count_to_rounding() -> None:
+    n = 1.25
+    surfaces = [{"radius_mm": 40.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 1.5, "stop": True},
+                {"radius_mm": -40.0, "semi_diameter_mm": 3.0}]  # fmt: skip
+    air = lf.Scene(camera={"focus_mm": 300.0, "lens": {"surfaces": surfaces}, "sensor": {"pixels": [50, 50],
+                           "pixel_mm": 0.01}})  # fmt: skip
+    times = {"camera.object_medium": {"index": n}, "camera.image_medium": {"index": n},
+             "camera.lens.surfaces[0].index": 1.5 * n}  # fmt: skip
+    dry = lf.point_spread(air, (0.0, 0.0, -300.0), 500.0)
+    wet = lf.point_spread(air.changed(times), (0.0, 0.0, -300.0), 500.0 * n)
+    np.testing.assert_allclose(wet.mean, dry.mean, rtol=0.0, atol=1e-9 * dry.mean.max())

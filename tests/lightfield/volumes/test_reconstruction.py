@@ -160,8 +160,8 @@ def test_quality_is_the_cosine_of_two_volumes():
     [
         ({"method": "art"}, 'method = "art": use one of mart, rl, sart, nnls'),
         ({"method": 3}, "method = 3: use one of"),
-        ({"image": [1.0, 2.0]}, r"the image has the shape \(2,\), but the matrix 3 rows"),
-        ({"image": np.ones((1, 1, 3))}, "the matrix 3 rows, one per pixel"),
+        ({"image": [1.0, 2.0]}, r"the image has the shape \(2,\), but the matrix has 3 rows"),
+        ({"image": np.ones((1, 1, 3))}, "the matrix has 3 rows, one per pixel"),
         ({"image": [1.0, np.nan, 0.0]}, "not finite"),
         ({"image": ["a", "b", "c"]}, "image must be numbers"),
         ({"image": np.array([1.0, 2.0, 3.0j])}, "the image is complex"),

@@ -294,7 +294,7 @@ def test_the_noise_of_a_matrix_is_about_what_other_rays_show():
         ({"strength": 1e300}, r"strength = 1e\+300: must be a number from 0 to 1e\+06"),
         ({"strength": "best"}, 'strength = "best": must be a number from 0 to .*, "half-sets" or "discrepancy"'),
         ({"strength": "discrepancy"}, "needs noise"),
-        ({"noise": [1.0, 2.0]}, r"the noise has the shape \(2,\), but the matrix 3 rows"),
+        ({"noise": [1.0, 2.0]}, r"the noise has the shape \(2,\), but the matrix has 3 rows"),
         ({"noise": [1.0, -2.0, 1.0]}, "noise: must be standard errors"),
         ({"noise": 0.0}, "noise: must be standard errors"),
         ({"noise": "much"}, "noise must be numbers"),

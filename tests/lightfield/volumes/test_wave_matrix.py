@@ -88,7 +88,7 @@ def test_voxels_wider_than_a_point_spread_are_warned_of_with_their_error(
 
     assert said(0.05) == []
     (words,) = said(wide_mm)
-    stated = 0.01 * float(re.findall(r"some ([0-9.]+)%", words)[0])
+    stated = 0.01 * float(re.findall(r"by about ([0-9.]+) ?%", words)[0])
     spreads = [lf.point_spread(scene, (wide_mm * (x / 8.0 - 0.4375), 0.0, -far)).mean for x in range(8)]
     middle = lf.point_spread(scene, (0.0, 0.0, -far)).mean
     assert stated == pytest.approx(np.abs(np.mean(spreads, axis=0) - middle).sum() / middle.sum(), rel=0.25)

@@ -113,6 +113,15 @@ if TYPE_CHECKING:
     from lfmesh.scene.camera.bands import Band
     from lfmesh.scene.camera.cover import Cover
     from lfmesh.scene.camera.lens import Element
+    from lfmesh.scene.camera.phase import (
+        GratingPhase,
+        GridPhase,
+        HologramPhase,
+        MetalensPhase,
+        Order,
+        RadialPhase,
+        XyPhase,
+    )
     from lfmesh.scene.camera.qbfs import Qbfs
     from lfmesh.scene.camera.qcon import Qcon
     from lfmesh.scene.camera.sections import Biconic, Toroid
@@ -202,10 +211,13 @@ __all__ = [
     "FoldedPatchesWarning",
     "GlassError",
     "Gloss",
+    "GratingPhase",
     "Grid",
+    "GridPhase",
     "HeavyPathsWarning",
     "HenyeyGreensteinPhase",
     "HiddenSceneWarning",
+    "HologramPhase",
     "Image",
     "InterruptedRenderWarning",
     "IsotropicPhase",
@@ -229,11 +241,13 @@ __all__ = [
     "MeshBounds",
     "MeshError",
     "MeshFace",
+    "MetalensPhase",
     "MicrolensArray",
     "MiePhase",
     "MissedLightWarning",
     "OpenLedgerWarning",
     "Optimum",
+    "Order",
     "OrderCheckWarning",
     "OwnGlass",
     "Particles",
@@ -248,6 +262,7 @@ __all__ = [
     "ProjectionMatrix",
     "Qbfs",
     "Qcon",
+    "RadialPhase",
     "RayModel",
     "RayleighPhase",
     "Reconstruction",
@@ -278,6 +293,7 @@ __all__ = [
     "Wall",
     "Wavefront",
     "World",
+    "XyPhase",
     "__version__",
     "all_in_focus",
     "analyse",
@@ -402,6 +418,15 @@ _HOMES = {
     "lfmesh.scene.camera.bands": ["Band"],
     "lfmesh.scene.camera.cover": ["Cover"],
     "lfmesh.scene.camera.lens": ["Element"],
+    "lfmesh.scene.camera.phase": [
+        "GratingPhase",
+        "GridPhase",
+        "HologramPhase",
+        "MetalensPhase",
+        "Order",
+        "RadialPhase",
+        "XyPhase",
+    ],
     "lfmesh.scene.camera.qbfs": ["Qbfs"],
     "lfmesh.scene.camera.qcon": ["Qcon"],
     "lfmesh.scene.camera.sections": ["Biconic", "Toroid"],

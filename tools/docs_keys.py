@@ -37,6 +37,7 @@ UNITS = {
     "_um": "µm",
     "_nm": "nm",
     "_mrad": "mrad",
+    "_rad": "rad",
     "_deg": "degrees",
     "_kpa": "kPa",
     "_k": "K",

@@ -1,4 +1,4 @@
-"""The grating equation at a surface with a phase, and the efficiency of blazed profiles.
+"""The grating equation at a surface with a phase.
 
 Along the surface, an order m changes n times the unit direction by G = m λ/2π ∇Φ, with the same sign for both
 directions of travel (W. T. Welford, "A vector raytracing equation for hologram lenses of arbitrary shape", Opt. Commun.
@@ -7,7 +7,7 @@ directions of travel (W. T. Welford, "A vector raytracing equation for hologram 
 
 import numpy as np
 
-from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.kernels.decorators import inlined
 
 
 @inlined
@@ -51,36 +51,3 @@ def diffracted(
     cos_out = np.sqrt(left) * over
     ahead = -cos_out if reflects else cos_out
     return True, cos_out, px * over + ahead * nx, py * over + ahead * ny, pz * over + ahead * nz
-
-
-@kernel
-def blaze_share(alpha: float, order: int, levels: int) -> float:
-    """Return the share of the transmitted light in an order of a blazed profile, by scalar theory; all sum to 1.
-
-    A continuous profile has sinc²(α − m), with sinc x = sin πx / πx; N levels have
-    sinc²(m/N) [sin π(α − m) / (N sin(π(α − m)/N))]² (G. J. Swanson, MIT Lincoln Laboratory report 854, 1989).
-
-    Parameters
-    ----------
-    alpha : float
-        Phase over a period of the grating, over 2π: the order with all light, if that is a whole number.
-    order : int
-        m.
-    levels : int
-        N; 0 for a continuous profile.
-    """
-    if levels == 0:
-        return _sinc2(alpha - order)
-    steps = (alpha - order) / levels
-    # From the nearest multiple of N, where both sines vanish.
-    near = np.pi * (steps - np.rint(steps))
-    bottom = levels * np.sin(near)
-    ratio = np.sin(levels * near) / bottom if bottom != 0.0 else 1.0
-    return _sinc2(order / levels) * ratio * ratio
-
-
-@inlined
-def _sinc2(x: float) -> float:
-    angle = np.pi * x
-    ratio = np.sin(angle) / angle if angle != 0.0 else 1.0
-    return ratio * ratio

@@ -102,7 +102,7 @@ def grid_profile(phase_rad: ArrayLike, spacing_mm: ArrayLike, origin_mm: ArrayLi
     values = np.asarray(phase_rad, np.float64)
     spacing = np.broadcast_to(np.asarray(spacing_mm, np.float64).ravel(), (2,))
     centred = -0.5 * spacing * (np.array(values.shape) - 1)
-    origin = centred if origin_mm is None else np.asarray(origin_mm, np.float64)
+    origin = centred if origin_mm is None else np.asarray(origin_mm, np.float64).reshape(2)
     coefficients = spline_coefficients(spline_coefficients(values).T).T
     return PhaseProfile(GRID, 1.0, np.concatenate([values.shape, origin, 1.0 / spacing, coefficients.ravel()]))
 

@@ -16,6 +16,7 @@ from lfmesh.regular_file import MARK, open_regular
 from lfmesh.scene.camera.file_choices import AS_IT_STANDS, FILE_CHOICES, FileChoices
 from lfmesh.scene.camera.lens import STOP_SIZES, Lens
 from lfmesh.scene.camera.lens_readers import endings, reader_of
+from lfmesh.scene.camera.phase import with_grids_beside
 from lfmesh.scene.file_kinds import FileKind, mistaken_for
 from lfmesh.scene.literals import LONGEST_BITS, literal, shown_path
 from lfmesh.scene.materials.own_glass import with_tables_beside
@@ -354,7 +355,7 @@ def _own_table(path: Path, choices: FileChoices) -> dict[str, Any]:
         table = _read(path)
     except SceneError as error:
         raise SceneError(f"{error}{_in_library(path)}") from None
-    return with_tables_beside(table, path.parent)
+    return with_grids_beside(with_tables_beside(table, path.parent), path.parent)
 
 
 def _in_library(path: Path) -> str:

@@ -68,7 +68,8 @@ def _a_distance_or_infinity(value: float) -> float:
     return value
 
 
-def _bends(value: float) -> float:
+def not_vanishing_length(value: float) -> float:
+    """Refuse a focal length or radius of 0."""
     if value == 0:
         raise ValueError("must not be 0; positive converges, negative diverges")
     if abs(value) < SMALLEST:
@@ -141,6 +142,9 @@ Radius = Annotated[float, Field(strict=True, allow_inf_nan=True), AfterValidator
 FocalLength = Annotated[float, Field(strict=True, allow_inf_nan=True), AfterValidator(_a_focal_length)]
 """A focal length in mm, of either sign; inf has no power."""
 
+SignedLength = Annotated[Number, AfterValidator(not_vanishing_length)]
+"""A length in mm, of either sign but not 0."""
+
 ObjectDistance = Annotated[float, Field(strict=True, allow_inf_nan=True), AfterValidator(_a_distance_or_infinity)]
 """An object distance in mm, above 0; inf is at infinity."""
 
@@ -174,7 +178,7 @@ number_per_type_schema = WithJsonSchema(
 """JSON Schema of a number, or a list of up to three: one per lenslet type."""
 
 OneOrMore = Annotated[
-    tuple[Annotated[Number, AfterValidator(_bends)], ...],
+    tuple[SignedLength, ...],
     Field(max_length=3),
     AfterValidator(not_empty),
     BeforeValidator(as_list),

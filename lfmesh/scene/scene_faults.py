@@ -42,6 +42,7 @@ def scene_faults(scene: SceneParts) -> Iterator[Fault]:
     yield from _absorption_faults(scene) if not glasses else ()
     yield from _polarisation_faults(scene)
     yield from _diffraction_faults(scene)
+    yield from _phase_faults(scene) if not glasses else ()
     yield from _memory_faults(scene)
 
 
@@ -180,6 +181,32 @@ def _polarisation_faults(scene: SceneParts) -> Iterator[Fault]:
             "transport.polarisation needs the phases of the reflected light, which a share does not give; omit "
             "reflectance",
         )
+
+
+def _phase_faults(scene: SceneParts) -> Iterator[Fault]:
+    """Yield phases that the settings of a render rule out, and efficiencies unknown at a wavelength of the scene."""
+    if scene.transport.polarisation:
+        why = "omit it: transport.polarisation needs the phases of both polarised waves, which a scalar phase lacks"
+    elif scene.transport.surface != "exact":
+        why = 'needs transport.surface = "exact": facets have no exact place on the surface for a phase'
+    else:
+        why = ""
+    for where, phase, before, behind in scene.phases():
+        if why:
+            yield Fault(where, None, why)
+            continue
+        for wavelength in _checked_nm(scene):
+            try:
+                shares = phase.orders_of(wavelength, before, behind)
+            except (GlassError, SceneError) as error:
+                yield Fault((*where, "efficiency"), None, str(error).removeprefix("efficiency: "))
+                break
+            if not all(share >= 0.0 for _, share in shares):
+                yield Fault(
+                    (*where, "efficiency"), "blaze",
+                    "needs different media on both sides, as a profile in one medium shifts no phase",
+                )  # fmt: skip
+                break
 
 
 def _diffraction_faults(scene: SceneParts) -> Iterator[Fault]:

@@ -7,13 +7,16 @@ from typing import Any, Literal
 from pydantic import Field, PrivateAttr
 
 from lfmesh.errors import SceneError
+from lfmesh.optics.glass import Medium as GlassOrAir
 from lfmesh.scene.camera.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.camera.phase import Phase
 from lfmesh.scene.inputs import file_stamp, found
 from lfmesh.scene.light.lights import Light
 from lfmesh.scene.light.particles import Particles
 from lfmesh.scene.materials.coatings import Coating
 from lfmesh.scene.materials.finishes import Finish
+from lfmesh.scene.materials.own_glass import in_air
 from lfmesh.scene.media.media import Medium
 from lfmesh.scene.model import Location, Model
 from lfmesh.scene.objects.gltf_keys import GltfLights, GltfTargets, or_table
@@ -205,6 +208,35 @@ class SceneParts(Model):
         if numbers:
             raise SceneError(f"{len(numbers)} bodies have this name; give each its own")
         raise SceneError(f"no body of glass or liquid has this name; there {f'are {known}' if known else 'is none'}")
+
+    def phases(self) -> Iterator[tuple[Location, Phase, GlassOrAir, GlassOrAir]]:
+        """Yield the location of each phase, the phase, and the media on both sides, in the camera's air.
+
+        Yields
+        ------
+        location : tuple of str and int
+            Keys from the scene's root.
+        phase : Phase
+        before, behind : Medium
+        """
+        camera = self.camera
+        lens, mla, air = camera.lens, camera.mla, camera.air
+        media = [in_air(each, air).medium for each in lens.surfaces]
+        if camera.image_medium is not None and media:
+            media[lens.last_interface :] = [in_air(camera.image_medium, air).medium] * (
+                len(media) - lens.last_interface
+            )
+        outside = camera.object_medium or lens.object_medium
+        before = in_air(outside, air).medium if outside is not None else None
+        for i, surface in enumerate(lens.surfaces):
+            behind = before if i == 0 and surface.is_plain_stop else media[i]
+            if surface.phase is not None:
+                yield ("camera", "lens", "surfaces", i, "phase"), surface.phase, before, behind
+            before = behind
+        if mla is not None:
+            plate = in_air(mla, air).medium
+            for key, phase in mla.phases.items():
+                yield ("camera", "mla", key), phase, before, plate
 
     def rough_in_camera(self) -> list[Location]:
         """Return the locations of finishes that scatter light on the lens and array.

@@ -159,7 +159,7 @@ class Lens(Model):
         return next((i for i, element in enumerate(self.elements) if number in element.surfaces), None)
 
     def is_pure_stop(self, number: int) -> bool:
-        """Return whether surface `number` is only a stop: marked, flat, with the same medium on both sides.
+        """Return whether surface `number` is only a stop: marked, flat, without a phase, in one medium.
 
         Parameters
         ----------
@@ -171,7 +171,8 @@ class Lens(Model):
         bool
         """
         surface, media = self.surfaces[number], self.media
-        return surface.stop and surface.is_flat and not surface.paraxial and media[number] == media[number + 1]
+        acts = surface.paraxial or surface.phase is not None
+        return surface.stop and surface.is_flat and not acts and media[number] == media[number + 1]
 
     def aperture_mm(self, number: int) -> float | None:
         """Return the clear radius of surface `number`, or None if the pupil's size determines it.
@@ -304,7 +305,7 @@ class Lens(Model):
     @property
     def number_off_revolution(self) -> int | None:
         """Number of the first surface without rotational symmetry, or None."""
-        return next((i for i, surface in enumerate(self.surfaces) if surface.section_key is not None), None)
+        return next((i for i, surface in enumerate(self.surfaces) if surface.asymmetric_key is not None), None)
 
     def gap_mm(self, number: int, height_mm: float) -> float:
         """Return the smallest axial distance over all azimuths from surface `number` to the next at a height.

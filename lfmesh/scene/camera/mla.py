@@ -9,10 +9,11 @@ from pydantic import Field
 from lfmesh.optics.glass import Medium
 from lfmesh.scene.camera.back_face import BackFace
 from lfmesh.scene.camera.lenslet_depth import cell_corner_mm, highest_and_deepest_mm, profile_words
-from lfmesh.scene.camera.per_type import ConicPerType, TermsPerType
+from lfmesh.scene.camera.per_type import ConicPerType, RadiusPerType, TermsPerType
+from lfmesh.scene.camera.phase import AnyPhase, Phase
 from lfmesh.scene.literals import at_least, counted
 from lfmesh.scene.materials.coatings import UNCOATED
-from lfmesh.scene.materials.finishes import POLISHED, AnyFinish, both_given
+from lfmesh.scene.materials.finishes import POLISHED, AnyFinish, both_given, rough_phase
 from lfmesh.scene.materials.own_glass import Glass
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.pose import Pose
@@ -42,7 +43,7 @@ class ArrayForm(Model):
 
 
 class MicrolensArray(Model):
-    """A plate with one curved face; the other one is flat or curved."""
+    """A plate with one curved face; the other one is flat or curved. With a phase, both may be flat."""
 
     layout: Literal["square", "hexagonal"] = "square"
     """Grid of the lenslets; "hexagonal": rows pitch · √3/2 apart, every second one shifted by half a pitch."""
@@ -52,10 +53,10 @@ class MicrolensArray(Model):
     """Distance between the centres of neighbouring lenslets, in mm."""
     focal_length_mm: OneOrMore | None = None
     """Focal length of a lenslet in air, in mm, whatever medium it is immersed in; a list of up to 3 makes a multi-focus
-    array. Or give `radius_mm`."""
-    radius_mm: OneOrMore | None = None
+    array. Or give `radius_mm`. It is that of the curved face alone, without phases."""
+    radius_mm: RadiusPerType | None = None
     """Radius of the curved face, in mm: positive converges, whichever way the face looks; a list: one per type. Or give
-    `focal_length_mm`."""
+    `focal_length_mm`. Omitted beside `curved_phase`: inf, flat."""
     conic: ConicPerType = (0.0,)
     """Conic constant of the lenslets: 0 sphere, −1 paraboloid, below −1 hyperboloid; a list: one per type."""
     asphere_mm: TermsPerType = ((),)
@@ -82,6 +83,11 @@ class MicrolensArray(Model):
     """Finish of the curved face: "polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
     flat_finish: AnyFinish = POLISHED
     """Finish of the flat face, or of `back`: as `curved_finish`."""
+    curved_phase: AnyPhase | None = None
+    """Phase of the curved face, about the apex of each lenslet, in x and y of the array. Without `radius_mm` and
+    `focal_length_mm` the face is flat: a metalens array. Omitted: none."""
+    flat_phase: AnyPhase | None = None
+    """Phase of the flat face, or of `back`: as `curved_phase`. Omitted: none."""
     curved_side: Literal["lens", "sensor"] = "lens"
     """Side of the curved face: towards the lens, or towards the sensor."""
     back: BackFace | None = None
@@ -103,7 +109,20 @@ class MicrolensArray(Model):
     @property
     def types(self) -> int:
         """Number of lenslet types."""
-        return len(self.radius_mm or self.focal_length_mm or ())
+        return len(self.radius_mm or self.focal_length_mm or self.radii_mm)
+
+    @property
+    def radii_mm(self) -> tuple[float, ...]:
+        """Known radii of the curved face, by type: `radius_mm`, or inf for a face with only a phase."""
+        if self.radius_mm is None and self.focal_length_mm is None and self.curved_phase is not None:
+            return (math.inf,)
+        return self.radius_mm or ()
+
+    @property
+    def phases(self) -> dict[str, Phase]:
+        """Phases of the faces, by key."""
+        given = {"curved_phase": self.curved_phase, "flat_phase": self.flat_phase}
+        return {key: phase for key, phase in given.items() if phase is not None}
 
     @property
     def row_pitch_mm(self) -> float:
@@ -169,6 +188,8 @@ class MicrolensArray(Model):
         """
         if kind < self.types and (self.profile_of(kind)[0] or any(self.profile_of(kind)[1])):
             return self._profile_fault(radius_mm, *self.profile_of(kind))
+        if math.isinf(radius_mm):
+            return None
         if abs(radius_mm) < self.corner_mm:
             return (
                 f"a sphere of radius {abs(radius_mm):.6g} mm does not reach the corner of its cell, "
@@ -239,12 +260,16 @@ class MicrolensArray(Model):
         """Yield faults between fields."""
         yield from both_given(self.curved_coating, self.curved_finish, "curved_finish")
         yield from both_given(self.flat_coating, self.flat_finish, "flat_finish")
+        yield from rough_phase(self.curved_phase, self.curved_finish, "curved_phase")
+        yield from rough_phase(self.flat_phase, self.flat_finish, "flat_phase")
         if self.radius_mm is not None and self.focal_length_mm is not None:
             yield Fault(("focal_length_mm",), list(self.focal_length_mm), "radius_mm is given too; give one of them")
-        elif self.radius_mm is None and self.focal_length_mm is None:
-            yield Fault(("focal_length_mm",), None, "missing: give focal_length_mm or radius_mm")
+        elif not self.radii_mm and self.focal_length_mm is None:
+            yield Fault(("focal_length_mm",), None, "missing: give focal_length_mm, radius_mm or curved_phase")
+        if self.curved_phase is None and math.inf in self.radii_mm:
+            yield Fault(("radius_mm",), math.inf, "a flat face bends no light: give a radius, or curved_phase too")
         shapes = list(self._profile_faults())
-        for kind, radius in enumerate(self.radius_mm or () if not shapes else ()):
+        for kind, radius in enumerate(self.radii_mm if not shapes else ()):
             if why := self.cap_fault(radius, kind=kind):
                 shapes.append(Fault(("radius_mm",), radius, why))
         yield from shapes
@@ -259,9 +284,9 @@ class MicrolensArray(Model):
             why = "with camera.mla.back a focal length does not determine the radius of each face: give radius_mm"
             yield Fault(("focal_length_mm",), list(self.focal_length_mm), why)
         depth = None
-        if sound and self.radius_mm is not None:
+        if sound and self.radii_mm:
             corner = self.corner_mm
-            each = [highest_and_deepest_mm(r, *self.profile_of(k), corner)[1] for k, r in enumerate(self.radius_mm)]
+            each = [highest_and_deepest_mm(r, *self.profile_of(k), corner)[1] for k, r in enumerate(self.radii_mm)]
             depth = max(each)
         yield from back.faults_in(self.layout, self.pitch_mm, self.thickness_mm, depth)
 

@@ -11,12 +11,13 @@ from pydantic import Field
 from lfmesh.optics.bounds import ACROSS, SAG, Range, profile_range
 from lfmesh.optics.glass import AIR, Medium
 from lfmesh.scene.camera.forms import Form, Heights, reach_of_conic_mm
+from lfmesh.scene.camera.phase import AnyPhase
 from lfmesh.scene.camera.qbfs import EvenForm, Qbfs
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS, Qcon, within_floats
 from lfmesh.scene.camera.sections import Biconic, Toroid
 from lfmesh.scene.literals import at_most
 from lfmesh.scene.materials.coatings import UNCOATED
-from lfmesh.scene.materials.finishes import POLISHED, AnyFinish, both_given
+from lfmesh.scene.materials.finishes import POLISHED, AnyFinish, both_given, rough_phase
 from lfmesh.scene.materials.own_glass import Glass
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.objects.refractor import MeshFace, Refractor
@@ -82,6 +83,10 @@ class Surface(Model):
     `radius_mm`, `conic` and `asphere_mm` (of y⁴, y⁶, ...) then describe the section y–z. An infinite radius extrudes it
     along x into a cylinder."""
 
+    phase: AnyPhase | None = None
+    """Phase of a diffractive surface, such as { kind = "radial", coefficients_rad = [-120.0], radius_mm = 5.0 }. It
+    turns light in addition to refraction, also on a flat surface with the same medium on both sides. Omitted: none."""
+
     paraxial: Flag = False
     """Ideal thin lens in place of an interface: flat, in air, without reflections. Needs `focal_length_mm`."""
     focal_length_mm: FocalLength | None = None
@@ -108,8 +113,8 @@ class Surface(Model):
 
     @property
     def is_plain_stop(self) -> bool:
-        """True for a flat stop without a given medium."""
-        given = (self.index, self.glass, self.mesh, self.refractor)
+        """True for a flat stop without a given medium and without a phase."""
+        given = (self.index, self.glass, self.mesh, self.refractor, self.phase)
         return self.stop and self.is_flat and not self.paraxial and all(each is None for each in given)
 
     @property
@@ -155,6 +160,23 @@ class Surface(Model):
         """Power of a `paraxial` surface, 1/mm, else 0."""
         return 0.0 if self.focal_length_mm is None else 1.0 / self.focal_length_mm
 
+    def added_power_per_mm(self, wavelength_nm: float, *, section_x: bool = False) -> float:
+        """Return the power that adds to that of refraction: of a `paraxial` surface or of a phase, else 0.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+        section_x : bool
+            Return it for the section x–z in place of y–z.
+
+        Returns
+        -------
+        float
+            1/mm.
+        """
+        power = self.thin_lens_power_per_mm
+        return power if self.phase is None else power + self.phase.power_per_mm(wavelength_nm, section_x)
+
     @property
     def curvature_x_per_mm(self) -> float:
         """Curvature at the vertex in the section x–z."""
@@ -175,6 +197,17 @@ class Surface(Model):
     def section_key(self) -> str | None:
         """Key of `form`, or None for a surface of revolution."""
         return next(iter(self.forms), None)
+
+    @property
+    def asymmetric_key(self) -> str | None:
+        """Key of `form`, or "phase" for one without rotational symmetry, or None."""
+        phase = self.phase
+        return self.section_key or ("phase" if phase is not None and not phase.of_revolution else None)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """True if shape and phase are symmetric about x and about y."""
+        return all(each is None or each.symmetric for each in (self.form, self.phase))
 
     @property
     def reach_mm(self) -> float:
@@ -279,6 +312,9 @@ class Surface(Model):
         if self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
         yield from both_given(self.coating, self.finish, "finish")
+        yield from rough_phase(self.phase, self.finish, "phase")
+        if self.phase is not None and self.mesh is not None:
+            yield Fault(("phase",), None, "omit it: a phase needs an exact surface, which a mesh does not have")
 
     def _qbfs_faults(self, qbfs: Qbfs) -> Iterator[Fault]:
         """Yield keys that exclude `qbfs`, and the reason if it has no even form."""

@@ -10,6 +10,7 @@ from lfmesh.scene.camera.gaps import room_mm
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.lenslet_optics import lenslet_optics
 from lfmesh.scene.camera.mla import MicrolensArray
+from lfmesh.scene.camera.phase_grids import refuse_small_grids, with_phase_grids
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray, quotient
 from lfmesh.scene.literals import at_least, at_most
@@ -68,17 +69,18 @@ def solved(scene: Scene) -> Scene:
     if lens is not scene.camera.lens:
         # The lens was read after the scene was checked: check the two together.
         scene = scene.changed({"camera.lens": lens.model_dump()}, solves=True)
-    scene = in_its_air(scene)
+    scene = with_phase_grids(in_its_air(scene))
     camera = scene.camera
     mla = _with_radii(camera.mla, primary) if camera.mla is not None else None
     camera = _changed(camera, mla=mla)
     camera = _with_distances(camera, primary)
     camera = _changed(camera, lens=_with_stop(camera, primary))
     camera = _changed(camera, lens=_with_apertures(camera, primary))
-    if camera == scene.camera:
-        return scene
-    # Check again: a larger stop, or a radius from a focal length, may make surfaces cross.
-    return scene.changed({"camera": camera.model_dump()}, solves=True)
+    if camera != scene.camera:
+        # Check again: a larger stop, or a radius from a focal length, may make surfaces cross.
+        scene = with_phase_grids(scene.changed({"camera": camera.model_dump()}, solves=True))
+    refuse_small_grids(scene)
+    return scene
 
 
 def apparent_thickness_mm(camera: Camera, wavelength_nm: float) -> float:
@@ -147,7 +149,7 @@ def _array_of(camera: Camera) -> MicrolensArray:
 
 def _with_radii(mla: MicrolensArray, wavelength_nm: float) -> MicrolensArray:
     if mla.focal_length_mm is None:
-        return mla
+        return mla if mla.radius_mm is not None else _changed(mla, radius_mm=mla.radii_mm)
     n = refractive_index(mla.medium, wavelength_nm)
     return _changed(mla, radius_mm=tuple(f * (n - 1) for f in mla.focal_length_mm), focal_length_mm=None)
 

@@ -74,6 +74,23 @@ AnyFinish = Annotated[Finish, BeforeValidator(_as_table), WithJsonSchema(_schema
 """A finish in a scene file: a name or a table."""
 
 
+def rough_phase(phase: object, finish: Finish, key: str) -> Iterator[Fault]:
+    """Yield the fault of a face that has a phase and is rough.
+
+    Parameters
+    ----------
+    phase : object
+        Phase of the face, or None.
+    finish : Finish
+    key : str
+        Key of the phase.
+    """
+    if phase is not None and finish.is_rough:
+        yield Fault(
+            (key,), None, f'omit it: the face has finish = "{finish.kind}", and scattered light has no single order'
+        )
+
+
 def both_given(coating: str, finish: Finish, key: str) -> Iterator[Fault]:
     """Yield the fault of a face that is both coated and rough.
 

@@ -64,6 +64,10 @@ def check(scene: SceneFile, /) -> int:
         from lfmesh.transport.tables.interfaces import finish_lines
 
         lines += finish_lines(solved_camera(loaded).scene)
+    if any(True for _ in loaded.phases()):
+        from lfmesh.scene.first_order.phase_lines import phase_lines
+
+        lines += phase_lines(solved_camera(loaded).scene)
     for placement in placements(loaded):
         lines += placement.lines()
     # Refuse what a render would refuse.

@@ -345,6 +345,36 @@ def meridian_ranges(
     return known_where(known, sag), known_where(known, rise), known_where(known, bend)
 
 
+def revolved_bends(
+    curvature: float, conic: float, powers: Sequence[tuple[int, float]], x: Range, y: Range
+) -> list[Range]:  # fmt: skip
+    """Return bounds of a surface of revolution z(r) and of its derivatives by x, by y, by x twice, by both, by y twice.
+
+    Parameters
+    ----------
+    curvature : float, 1/mm
+    conic, powers
+        As in `profile_range`.
+    x, y : (n,) float64 each, mm
+        Finite.
+    """
+    x2, y2 = squared(x), squared(y)
+    r2 = plus(x2, y2)
+    r = np.sqrt(np.maximum(r2[0], 0.0)), np.sqrt(r2[1])
+    curved = (np.full_like(r[0], curvature),) * 2
+    sag, across, along = (profile_range(curved, conic, powers, r, order) for order in (SAG, ACROSS, ALONG))
+    more = plus(along, scaled(-1.0, across))
+    with np.errstate(invalid="ignore"):
+        # Fractions of x² and y² in r².
+        in_x, in_y = (
+            (np.nan_to_num(one[0] / (one[0] + other[1]), nan=0.0), np.nan_to_num(one[1] / (one[1] + other[0]), nan=1.0))
+            for one, other in ((x2, y2), (y2, x2))
+        )
+    both = overlap(quotient(times(x, y), r2), (np.full_like(r[0], -0.5), np.full_like(r[0], 0.5)))
+    return [sag, times(x, across), times(y, across), plus(across, times(more, in_x)), times(more, both),
+            plus(across, times(more, in_y))]  # fmt: skip
+
+
 def profile_extremes(
     curvatures: Sequence[float], conic: float, powers: Sequence[tuple[int, float]], radius: float,
     orders: Sequence[int], within: float,

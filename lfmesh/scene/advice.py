@@ -5,7 +5,9 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning, in_order
+from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.scene.camera.lenslet_optics import sections
+from lfmesh.scene.camera.phase import Phase
 from lfmesh.scene.distance import length_in_words, reach_in_words
 from lfmesh.scene.first_order import axial_beam
 from lfmesh.scene.first_order.beam_bounds import CLOSE, Beam
@@ -197,13 +199,28 @@ def _covering(facts: "FirstOrder") -> Iterator[str]:
 
 def _between_sections(scene: Scene) -> Iterator[str]:
     """Warn of surfaces that the x and y sections do not fully describe."""
+    media = scene.camera.lens.media
     for i, surface in enumerate(scene.camera.lens.surfaces):
-        if surface.form is not None and not surface.form.symmetric:
+        turn = _turn_deg(surface.phase, scene.primary_nm, media[i + 1]) if surface.phase is not None else 0.0
+        if turn:
             yield (
-                f"surface {i} is a {surface.section_key}, not symmetric about x and y. First-order figures and "
+                f"the phase of surface {i} turns light on the axis by {turn:.4g} degrees. First-order figures ignore "
+                "this turn, and light may fall beside apertures, array and sensor"
+            )
+        if not surface.is_symmetric:
+            key = surface.section_key
+            which = f"the phase of surface {i} is" if key is None else f"surface {i} is a {key},"
+            yield (
+                f"{which} not symmetric about x and y. First-order figures and "
                 "omitted clear apertures are computed from the sections along x and y only. Light between them may "
                 "focus elsewhere, or be cut off"
             )
+
+
+def _turn_deg(phase: Phase, wavelength_nm: float, behind: Medium) -> float:
+    """Return the angle by which a phase turns light along the axis; 90 for an evanescent order."""
+    change = phase.path_per_rad_mm(wavelength_nm) * math.hypot(*phase.gradient_rad_mm)
+    return math.degrees(math.asin(min(abs(change) / refractive_index(behind, wavelength_nm), 1.0)))
 
 
 def _sections(facts: "FirstOrder") -> Iterator[str]:
@@ -343,7 +360,7 @@ def _matching(scene: Scene, facts: "FirstOrder", microlens: float) -> str:
     # The cone of light is as wide as the stop.
     radius = ratio * (camera.lens.surfaces[Paraxial.of(camera.lens, scene.primary_nm).stop].semi_diameter_mm or 0.0)
     ways = [f"camera.lens.stop_semi_diameter_mm = {radius:.4g}"]
-    if not facts.focused and mla.types == 1 and not mla.has_back and len(sections(mla)) == 1:
+    if not facts.focused and mla.types == 1 and not mla.both_faces_act and len(sections(mla)) == 1:
         # The f-number takes the reduced focal length in the image medium; the key takes the one in air.
         n, outside = camera.relative_index(mla.medium, scene.primary_nm), facts.image_index
         length = facts.working_f_number * mla.pitch_mm * outside * (n - 1.0) / (n * outside - 1.0)

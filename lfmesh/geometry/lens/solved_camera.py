@@ -16,6 +16,7 @@ from lfmesh.geometry.objects.refractors import face_lines, measured
 from lfmesh.geometry.objects.tanks import with_tanks
 from lfmesh.scene import FirstOrder, Paraxial, Scene, Tessellation, solved
 from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.mla import MicrolensArray
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.first_order.compute import with_warnings, without_warnings
 from lfmesh.scene.inputs import file_stamp, files_of
@@ -155,7 +156,8 @@ def mesh_lines(scene: Scene) -> list[str]:
 
 def _key(scene: Scene, lens: Lens) -> Key:
     """Return the cache key of a scene; `lens` is the scene's lens, read from its file if it names one."""
-    files = tuple((place, path, file_stamp(scene.resolve(path))) for place, path in _files_of(lens))
+    held = (_files_of(part) for part in (lens, scene.camera.mla) if part is not None)
+    files = tuple((place, path, file_stamp(scene.resolve(path))) for part in held for place, path in part)
     return scene.digest, scene.folder, tuple(sorted(scene.digests.items())), lens, files
 
 
@@ -166,5 +168,5 @@ def _shapes_of(*_: object) -> dict[int | None, LensShape]:
 
 
 @lru_cache(maxsize=2 * KEPT)
-def _files_of(lens: Lens) -> tuple[tuple[str, str], ...]:
-    return tuple(files_of(lens))
+def _files_of(part: Lens | MicrolensArray) -> tuple[tuple[str, str], ...]:
+    return tuple(files_of(part))

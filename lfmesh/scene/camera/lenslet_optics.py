@@ -3,7 +3,8 @@
 The faces towards the lens and the sensor have the powers φ₁ and φ₂, the plate the reduced thickness t/n. Then (for
 instance Hecht, Optics, section 6.1) the power is φ = φ₁ + φ₂ − φ₁ φ₂ t/n. The front principal point lies φ₂/φ · t/n
 behind the first face, the rear one φ₁/φ · t/n before the second, as in the medium outside. A cylinder has power in one
-section only. Only ratios of indices count: n is the plate's index over that of the medium between lens and sensor.
+section only. Only ratios of indices count: n is the plate's index over that of the medium between lens and sensor. The
+phase of a face adds its power, over the index of that medium.
 """
 
 import math
@@ -58,13 +59,18 @@ def lenslet_optics(camera: Camera, wavelength_nm: float, kind: int = 0, section:
     mla = camera.mla
     assert mla is not None
     n = camera.relative_index(mla.medium, wavelength_nm)
-    if section is None:
-        section = "y" if mla.cylinder_axis == "x" else "x"
+    section = section or mla.main_section
     assert mla.radius_mm is not None
     main = 0.0 if mla.cylinder_axis == section else (n - 1) / mla.radius_mm[kind]
     other = 0.0
     if mla.back is not None and mla.back.cylinder_axis != section and not math.isinf(mla.back.radius_mm):
         other = (n - 1) / mla.back.radius_mm
+    if mla.phases:
+        outside, in_x = camera.image_index(wavelength_nm), section == "x"
+        main, other = (
+            power if phase is None else power + phase.power_per_mm(wavelength_nm, in_x) / outside
+            for power, phase in ((main, mla.curved_phase), (other, mla.flat_phase))
+        )
     first, second = (main, other) if mla.curved_side == "lens" else (other, main)
     reduced = mla.thickness_mm / n
     power = first + second - first * second * reduced
@@ -76,6 +82,9 @@ def lenslet_optics(camera: Camera, wavelength_nm: float, kind: int = 0, section:
 
 
 def sections(mla: MicrolensArray) -> tuple[str, ...]:
-    """Return the distinct sections of an array's lenslets: "x" and "y" for cylinders, else only "x"."""
-    has_cylinders = mla.cylinder_axis is not None or (mla.back is not None and mla.back.cylinder_axis is not None)
-    return ("x", "y") if has_cylinders else ("x",)
+    """Return the distinct sections of an array's lenslets: "x" and "y" if their power differs, else only "x"."""
+    differ = mla.cylinder_axis is not None or (mla.back is not None and mla.back.cylinder_axis is not None)
+    for phase in mla.phases.values():
+        in_x, _, in_y = phase.curvature_rad_mm2
+        differ = differ or in_x != in_y
+    return ("x", "y") if differ else ("x",)

@@ -145,6 +145,19 @@ class MicrolensArray(Model):
         return self.back is not None and not self.back.is_flat
 
     @property
+    def both_faces_act(self) -> bool:
+        """True if the optics of a lenslet need both faces: lenslets on both, or a phase."""
+        return self.has_back or bool(self.phases)
+
+    @property
+    def main_section(self) -> Literal["x", "y"]:
+        """Section with the power of the curved face, or its larger power."""
+        if self.cylinder_axis is not None:
+            return "y" if self.cylinder_axis == "x" else "x"
+        in_x, _, in_y = self.curved_phase.curvature_rad_mm2 if self.curved_phase is not None else (0.0, 0.0, 0.0)
+        return "y" if abs(in_y) > abs(in_x) else "x"
+
+    @property
     def frame_side(self) -> Literal["lens", "sensor"]:
         """Side with the origin of the array's frame: that of the curved face, or the sensor's if both are curved."""
         return "sensor" if self.has_back else self.curved_side

@@ -49,8 +49,9 @@ def refuse_small_grids(scene: Scene) -> None:
     """
     mla, surfaces = scene.camera.mla, scene.camera.lens.surfaces
     for where, phase, _, _ in scene.phases():
-        if isinstance(where[3], int):
-            needed = surfaces[where[3]].semi_diameter_mm or 0.0
+        number = where[-2]
+        if isinstance(number, int):
+            needed = surfaces[number].semi_diameter_mm or 0.0
             what = "the clear aperture has a radius of"
         else:
             assert mla is not None

@@ -13,6 +13,7 @@ from lfmesh.optics.ray_aiming import continue_rays
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.first_order.beam_bounds import Beam
+from lfmesh.scene.first_order.phase_turns import turn_by_phase
 from lfmesh.scene.first_order.skew_bounds import widest_mm
 
 Array = NDArray[np.float64]
@@ -95,8 +96,11 @@ def _crossings(lens: Lens, wavelength_nm: float, object_mm: float, entry: Array)
             if surface.paraxial:
                 d = d / d[:, 2:] - np.pad(surface.thin_lens_power_per_mm * p[:, :2], ((0, 0), (0, 1)))
                 d /= np.linalg.norm(d, axis=1, keepdims=True)
-            else:
+            elif surface.phase is None:
                 d = _bent(_normal(surface, p), d, indices[number] / indices[number + 1])
+            else:
+                turn = turn_by_phase(surface.phase, wavelength_nm, p[:, 0], p[:, 1])
+                d = _turned(_normal(surface, p), indices[number] * d, turn, indices[number + 1])
             p = p + np.array([0.0, 0.0, vertex])
         met.append(d[:, :2] / d[:, 2:])
     return np.stack(met)
@@ -132,3 +136,22 @@ def _bent(normal: Array, d: Array, ratio: float) -> Array:
     cosine = (normal * d).sum(axis=1)
     along = np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2)) - ratio * cosine
     return np.asarray(ratio * d + along[:, None] * normal)
+
+
+def _turned(normal: Array, optical: Array, turn: Array, index: float) -> Array:
+    """Return directions behind a phase, NaN of evanescent light.
+
+    Parameters
+    ----------
+    normal : (n, 3) float64
+    optical : (n, 3) float64
+        Index times direction before the surface.
+    turn : (n, 2) float64
+        Its change along x and y.
+    index : float
+        Behind the surface.
+    """
+    optical = optical + np.pad(turn, ((0, 0), (0, 1)))
+    along = optical - (normal * optical).sum(axis=1, keepdims=True) * normal
+    ahead = np.sqrt(index**2 - (along * along).sum(axis=1, keepdims=True))
+    return np.asarray((along + ahead * normal) / index)

@@ -8,7 +8,7 @@ intervals stand for rays that may have ended.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,8 @@ from lfmesh.optics.bounds import (
     times,
 )
 from lfmesh.optics.glass import refractive_index
+from lfmesh.optics.phase_ranges import meridian_phase
+from lfmesh.optics.phase_shapes import PhaseProfile
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.surface import Surface
 
@@ -87,6 +89,28 @@ class _Rays(NamedTuple):
     angle: Range
     height_by: Range
     angle_by: Range
+
+
+class _Turn(NamedTuple):
+    """Phase of a surface, and the change of sine by the index behind it and its derivative."""
+
+    profile: PhaseProfile
+    per_index_mm: float
+
+    def along(self, height: Range, height_by: Range, turn: Range, turn_by: Range) -> tuple[Range, Range]:
+        """Return the change of the sine to the normal, G cos τ / n', and its derivative by the entry height.
+
+        Parameters
+        ----------
+        height, height_by : Range, mm and 1
+        turn, turn_by : Range, rad and rad/mm
+            Angle τ of the normal.
+        """
+        slope, bend = (scaled(self.per_index_mm, each) for each in meridian_phase(self.profile, height))
+        cosine = _cosine(turn)
+        sine = np.sin(turn[0]), np.sin(turn[1])
+        by = plus(times(bend, height_by, cosine), scaled(-1.0, times(slope, sine, turn_by)))
+        return times(slope, cosine), by
 
 
 def widest_mm(
@@ -173,7 +197,10 @@ def followed(lens: Lens, wavelength_nm: float, object_mm: float, low_mm: Array, 
         index, *behind = (refractive_index(medium, wavelength_nm) for medium in lens.media)
         gaps = np.append(np.diff(lens.vertices_mm), 0.0)
         for surface, gap, after in zip(lens.surfaces, gaps, behind, strict=True):
-            met, met_by, rays = _through(surface, rays, index / after, float(gap), half)
+            turn = None
+            if surface.phase is not None:
+                turn = _Turn(surface.phase.profile(), surface.phase.path_per_rad_mm(wavelength_nm) / after)
+            met, met_by, rays = _through(surface, rays, index / after, float(gap), half, turn)
             heights.append([end[:count] for end in met])
             slopes.append([end[:count] for end in met_by])
             pass_on.append(np.isfinite(rays.angle[1] - rays.angle[0])[:count])
@@ -181,7 +208,9 @@ def followed(lens: Lens, wavelength_nm: float, object_mm: float, low_mm: Array, 
     return Zones(np.array(heights), np.array(slopes), np.array(pass_on))
 
 
-def _through(surface: Surface, rays: _Rays, ratio: float, gap: float, half: Array) -> tuple[Range, Range, _Rays]:
+def _through(
+    surface: Surface, rays: _Rays, ratio: float, gap: float, half: Array, phase: _Turn | None = None
+) -> tuple[Range, Range, _Rays]:
     """Return heights at a surface, their derivatives, and the rays in the vertex plane of the next one."""
     steep = _tangent(rays.angle)
     met = _met(surface, rays.height, steep)
@@ -199,7 +228,10 @@ def _through(surface: Surface, rays: _Rays, ratio: float, gap: float, half: Arra
         turn = np.arctan(rise[0]), np.arctan(rise[1])
         turn_by = times(quotient(bend, _one_and_square(rise)), met_by)
         inside = plus(rays.angle, turn)
-        sines = [ratio * np.sin(end) for end in inside]
+        sines: Sequence[Array] = [ratio * np.sin(end) for end in inside]
+        if phase is not None:
+            change, change_by = phase.along(met, met_by, turn, turn_by)
+            sines = plus((sines[0], sines[1]), change)
         # Past a right angle the ray meets the surface from behind; past a sine of 1 it is totally reflected.
         bends = (inside[0] > -0.5 * math.pi) & (inside[1] < 0.5 * math.pi) & (sines[0] >= -1.0) & (sines[1] <= 1.0)
         inside = known_where(bends, inside)
@@ -207,6 +239,8 @@ def _through(surface: Surface, rays: _Rays, ratio: float, gap: float, half: Arra
         bent = scaled(ratio, quotient(_cosine(inside), _cosine(outside)))
         angle = plus(outside, scaled(-1.0, turn))
         angle_by = plus(times(bent, plus(rays.angle_by, turn_by)), scaled(-1.0, turn_by))
+        if phase is not None:
+            angle_by = plus(angle_by, quotient(change_by, _cosine(outside)))
     angle = _tightened(angle, angle_by, half)
     steep = _tangent(angle)
     way = plus(scaled(gap, _ones(sag)), scaled(-1.0, sag))

@@ -311,7 +311,7 @@ def _in_common(layout: str, shift: Array) -> Array:
 def error_on_true_faces(camera: Camera, wavelength_nm: float, ratio: float) -> float | None:
     """Return the error of a camera's white pictures with lenslet diffraction, averaged over the lenslet types.
 
-    None for cylinders, clear apertures, two curved faces, and beyond `MOST_FRESNEL` or `MOST_CONE`.
+    None for cylinders, clear apertures, two curved faces, phases, and beyond `MOST_FRESNEL` or `MOST_CONE`.
 
     Parameters
     ----------
@@ -322,7 +322,7 @@ def error_on_true_faces(camera: Camera, wavelength_nm: float, ratio: float) -> f
         Distance from the exit pupil to the lenslets over its diameter.
     """
     mla, sensor = camera.mla, camera.sensor
-    if mla is None or mla.has_back or mla.cylinder_axis is not None or mla.clear_diameter_mm is not None:
+    if mla is None or mla.both_faces_act or mla.cylinder_axis is not None or mla.clear_diameter_mm is not None:
         return None
     cone, lenslets = math.sin(math.atan(0.5 / ratio)), lenslets_of(camera, wavelength_nm)
     if not 0.0 < cone <= MOST_CONE or not all(0.0 < each.fresnel_number <= MOST_FRESNEL for each in lenslets):

@@ -75,7 +75,7 @@ def micro_image(
 def lenslet_sections(
     camera: Camera, wavelength_nm: float, lens: Paraxial, ratio: float
 ) -> Iterator[LensletSection]:  # fmt: skip
-    """Yield the lenslets section by section, if they are cylinders or on both faces.
+    """Yield the lenslets section by section, if they are cylinders, on both faces, or have a phase.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def lenslet_sections(
         Distance from the exit pupil to the lenslets over its diameter.
     """
     mla, sensor = camera.mla, camera.sensor
-    if mla is None or not (len(sections(mla)) > 1 or mla.has_back):
+    if mla is None or not (len(sections(mla)) > 1 or mla.both_faces_act):
         return
     for section in sections(mla):
         at = lenslet_optics(camera, wavelength_nm, section=section)

@@ -13,6 +13,7 @@ from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.first_order.beam_bounds import Beam, followed, widest_mm
+from lfmesh.scene.first_order.phase_turns import turn_in_meridian
 
 STEPS = 50
 """Maximum number of Newton steps to a surface."""
@@ -58,6 +59,8 @@ def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: fl
         # The normal is inclined towards the axis by the arctangent of the sag's slope.
         normal = -math.atan(_slope(surface, y))
         sine = index / after * math.sin(angle - normal)
+        if surface.phase is not None:
+            sine += turn_in_meridian(surface.phase, wavelength_nm, y) / after * math.cos(normal)
         if abs(sine) > 1.0:
             return heights
         angle = normal + math.asin(sine)

@@ -69,7 +69,7 @@ class Paraxial:
     stop : int
         Number of the stop surface.
     thin_powers : tuple of float, 1/mm
-        Powers of thin lenses, 0 for other surfaces; empty if there are none.
+        Powers of thin lenses and of phases, 0 for other surfaces; empty if there are none.
     """
 
     curvatures: tuple[float, ...]
@@ -87,7 +87,7 @@ class Paraxial:
         lens : Lens
         wavelength_nm : float
         section_x : bool
-            Use the x–z section in place of y–z; they differ only for biconics and toroids.
+            Use the x–z section in place of y–z; they differ only without rotational symmetry.
         """
         return cls(
             curvatures=tuple(
@@ -96,7 +96,9 @@ class Paraxial:
             gaps_mm=tuple(surface.thickness_mm or 0.0 for surface in lens.surfaces[:-1]),
             indices=tuple(refractive_index(medium, wavelength_nm) for medium in lens.media),
             stop=lens.stop_index or 0,
-            thin_powers=tuple(surface.thin_lens_power_per_mm for surface in lens.surfaces),
+            thin_powers=tuple(
+                surface.added_power_per_mm(wavelength_nm, section_x=section_x) for surface in lens.surfaces
+            ),
         )
 
     def refraction(self, number: int) -> Matrix:

@@ -102,7 +102,7 @@ class FirstOrder(Shown):
     10, diffraction blurs much of the micro-image."""
     kick_error: KickError | None
     """Errors of pictures of extended light with and without the lenslets' diffraction. None if unknown: beyond the
-    tables, for round apertures and for cylinders. The errors of edges are unknown for hexagons."""
+    tables, for round apertures, cylinders and phases. The errors of edges are unknown for hexagons."""
     near_mm: float
     """Nearest object distance that can be refocused sharply (standard), that is within the depth of field
     (conventional), or that any lenslet type images sharply to a pixel (focused). inf, with `far_mm`, if no real object
@@ -136,8 +136,8 @@ class FirstOrder(Shown):
     focused: tuple[FocusedLenslets, ...] = ()
     """Lenslets of a focused plenoptic camera, by type."""
     lenslet_sections: tuple[LensletSection, ...] = ()
-    """Lenslets by section, if they are cylinders or have two faces; otherwise empty. The lenslet figures above are for
-    the section with the power of the curved face."""
+    """Lenslets by section, if they are cylinders, have two faces or a phase; otherwise empty. The lenslet figures above
+    are for the section with the power of the curved face."""
     poses: tuple[str, ...] = ()
     """Lens elements, array and sensor with a pose, one line each; all figures ignore the poses."""
     warnings: tuple[str, ...] = ()

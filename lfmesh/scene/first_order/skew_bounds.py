@@ -11,22 +11,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.optics.bounds import (
-    ACROSS,
-    ALONG,
-    SAG,
     Array,
     Range,
     known_where,
     overlap,
     plus,
-    profile_range,
     quotient,
+    revolved_bends,
     scaled,
     squared,
     times,
 )
 from lfmesh.optics.glass import refractive_index
+from lfmesh.optics.phase_ranges import phase_bends
 from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.phase import Phase
 from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.first_order.beam_bounds import CLOSE, STEPS, WIDER, Beam, enclosed
 
@@ -66,7 +65,7 @@ def widest_mm(
     """
     stop = lens.stop_index or 0
     size = BEYOND * entry_mm
-    symmetric = all(surface.form is None or surface.form.symmetric for surface in lens.surfaces)
+    symmetric = all(surface.is_symmetric for surface in lens.surfaces)
     sides = [np.linspace(0.0 if symmetric else -each, each, CELLS + 1) for each in size]
     low, high = (
         np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -142,7 +141,8 @@ def _followed(lens: Lens, wavelength_nm: float, object_mm: float, low: Array, hi
                 power = -surface.thin_lens_power_per_mm
                 p, q = _from_slopes(plus(u, scaled(power, x)), plus(v, scaled(power, y)), behind)
             else:
-                p, q = _refracted(bends, x, y, p, q, before, behind)
+                turn = _turn_by_phase(surface.phase, wavelength_nm, x, y) if surface.phase is not None else None
+                p, q = _refracted(bends, (x, y), (p, q), (before, behind), turn)
             p, q = _tightened(p, half), _tightened(q, half)
             height2 = plus(_power2(x), _power2(y))
             squares.append(height2)
@@ -156,12 +156,29 @@ def _followed(lens: Lens, wavelength_nm: float, object_mm: float, low: Array, hi
     )
 
 
-def _refracted(bends: list[Range], x: Jet, y: Jet, p: Jet, q: Jet, before: float, behind: float) -> tuple[Jet, Jet]:
+def _turn_by_phase(phase: Phase, wavelength_nm: float, x: Jet, y: Jet) -> tuple[Jet, Jet]:
+    """Return the change of the optical direction cosines by a phase, before its projection onto the surface."""
+    in_x, in_y, xx, xy, yy = (
+        scaled(phase.path_per_rad_mm(wavelength_nm), each)
+        for each in phase_bends(phase.profile(), _value(x), _value(y))
+    )
+    return tuple(  # type: ignore[return-value]
+        _stacked(value, [plus(times(one, _by(x)[k]), times(other, _by(y)[k])) for k in (0, 1)])
+        for value, one, other in ((in_x, xx, xy), (in_y, xy, yy))
+    )
+
+
+def _refracted(
+    bends: list[Range], place: tuple[Jet, Jet], cosines: tuple[Jet, Jet], indices: tuple[float, float],
+    turn: tuple[Jet, Jet] | None,
+) -> tuple[Jet, Jet]:  # fmt: skip
     """Return the optical direction cosines p′ = p − Γ z_x and q′ = q − Γ z_y behind a surface.
 
     With m = (−z_x, −z_y, 1), r = √(n² − p² − q²) and g = r − p z_x − q z_y, Snell's law gives
-    Γ = (n′² − n²) / (g + √(g² + m² (n′² − n²))).
+    Γ = (n′² − n²) / (g + √(g² + m² (n′² − n²))). A phase first adds its change G to p and q, and n² becomes
+    n² + 2 (p G_x + q G_y) + G².
     """
+    (x, y), (p, q), (before, behind) = place, cosines, indices
     _, by_x, by_y, xx, xy, yy = bends
     slope_x, slope_y = (
         _stacked(value, [plus(times(one, _by(x)[k]), times(other, _by(y)[k])) for k in (0, 1)])
@@ -169,14 +186,21 @@ def _refracted(bends: list[Range], x: Jet, y: Jet, p: Jet, q: Jet, before: float
     )
     more = behind * behind - before * before
     r = _ahead(p, q, before)
+    step: Jet | None = None
+    if turn is not None:
+        changed = plus(_product(p, turn[0]), _product(q, turn[1]))
+        squares = plus(_power2(turn[0]), _power2(turn[1]))
+        step = plus(_constant(more, r), scaled(-2.0, changed), scaled(-1.0, squares))
+        p, q = plus(p, turn[0]), plus(q, turn[1])
     g = plus(r, scaled(-1.0, plus(_product(p, slope_x), _product(q, slope_y))))
     steep = plus(_constant(1.0, g), _power2(slope_x), _power2(slope_y))
-    root = _root(plus(_power2(g), scaled(more, steep)))
-    turn = scaled(more, _inverse(plus(g, root)))
-    ahead = plus(_value(r), _value(turn))
+    root = _root(plus(_power2(g), scaled(more, steep) if step is None else _product(step, steep)))
+    over = _inverse(plus(g, root))
+    gamma = scaled(more, over) if step is None else _product(step, over)
+    ahead = plus(_value(r), _value(gamma))
     known = (_value(g)[0] > 0.0) & (ahead[0] > 0.0)
     return tuple(  # type: ignore[return-value]
-        known_where(known, plus(along, scaled(-1.0, _product(turn, slope))))
+        known_where(known, plus(along, scaled(-1.0, _product(gamma, slope))))
         for along, slope in ((p, slope_x), (q, slope_y))
     )
 
@@ -226,20 +250,7 @@ def _bends(surface: Surface, x: Range, y: Range) -> list[Range]:
     x, y = (_zero_unless(known, each) for each in (x, y))
     if surface.form is not None:
         return [known_where(known, each) for each in surface.form.bends_in(surface, x, y)]
-    r = _zero_unless(known, r)
-    curved = (np.full_like(r[0], surface.curvature_per_mm),) * 2
-    sag, across, along = (
-        profile_range(curved, surface.vertex_conic, surface.powers_mm, r, order) for order in (SAG, ACROSS, ALONG)
-    )
-    more, x2, y2 = plus(along, scaled(-1.0, across)), squared(x), squared(y)
-    # Fractions of x² and y² in r².
-    in_x, in_y = (
-        (np.nan_to_num(one[0] / (one[0] + other[1]), nan=0.0), np.nan_to_num(one[1] / (one[1] + other[0]), nan=1.0))
-        for one, other in ((x2, y2), (y2, x2))
-    )
-    both = overlap(quotient(times(x, y), _zero_unless(known, r2)), (np.full_like(r[0], -0.5), np.full_like(r[0], 0.5)))
-    parts = [sag, times(x, across), times(y, across), plus(across, times(more, in_x)), times(more, both),
-             plus(across, times(more, in_y))]  # fmt: skip
+    parts = revolved_bends(surface.curvature_per_mm, surface.vertex_conic, surface.powers_mm, x, y)
     return [known_where(known, each) for each in parts]
 
 

@@ -101,12 +101,12 @@ def cover_shift_mm(camera: Camera, wavelength_nm: float) -> float:
 
 
 def lenslet_focal_length_mm(camera: Camera, wavelength_nm: float) -> tuple[float, ...]:
-    """Return the focal length of each lenslet type of a solved array: R / (n − 1), or that of both faces.
+    """Return the focal length of each lenslet type of a solved array: R / (n − 1), or that of both faces with phases.
 
     It is in the image medium, and n relative to that. For cylinders, in the section with the power of the curved face.
     """
     mla = _array_of(camera)
-    if mla.has_back:
+    if mla.both_faces_act:
         return tuple(lenslet_optics(camera, wavelength_nm, kind).focal_length_mm for kind in range(mla.types))
     n = camera.relative_index(mla.medium, wavelength_nm)
     return tuple(radius / (n - 1) for radius in mla.radius_mm or ())
@@ -119,7 +119,7 @@ def front_principal_mm(camera: Camera, wavelength_nm: float) -> float:
     their plane.
     """
     mla = _array_of(camera)
-    if mla.has_back:
+    if mla.both_faces_act:
         return lenslet_optics(camera, wavelength_nm).front_principal_mm
     return apparent_thickness_mm(camera, wavelength_nm) if mla.curved_side == "sensor" else 0.0
 
@@ -127,7 +127,7 @@ def front_principal_mm(camera: Camera, wavelength_nm: float) -> float:
 def rear_principal_mm(camera: Camera, wavelength_nm: float) -> float:
     """Return the apparent distance from the rear principal points to the array's face towards the sensor."""
     mla = _array_of(camera)
-    if mla.has_back:
+    if mla.both_faces_act:
         return lenslet_optics(camera, wavelength_nm).rear_principal_mm
     return apparent_thickness_mm(camera, wavelength_nm) if mla.curved_side == "lens" else 0.0
 
@@ -274,7 +274,7 @@ def _focal_plane_mm(camera: Camera, wavelength_nm: float) -> float:
             )
         why = (
             "the two faces focus light inside their plate or before it; give a thinner plate or larger radii"
-            if mla.has_back
+            if mla.both_faces_act
             else f"the lenslets' focal length of {focal_length:.6g} mm ends inside their plate; give "
             f"thickness_mm at most {at_most(mla.thickness_mm * focal_length / inside * (1 - BEYOND))}"
         )
@@ -322,6 +322,12 @@ def _with_apertures(camera: Camera, wavelength_nm: float) -> Lens:
     omitted = [i for i, s in enumerate(lens.surfaces) if s.semi_diameter_mm is None and s.refractor is None]
     if not omitted:
         return lens
+    for i, surface in enumerate(lens.surfaces):
+        if surface.phase is not None and any(surface.phase.gradient_rad_mm):
+            raise SceneError(
+                f"camera.lens.surfaces[{omitted[0]}].semi_diameter_mm: missing, and the phase of surfaces[{i}] turns "
+                "light on the axis, so the beams are not known from paraxial rays; give it"
+            )
     image = image_plane_mm(camera, wavelength_nm)
     object_mm = Paraxial.of(lens, wavelength_nm).object_mm(image)
     sections = (False,) if lens.number_off_revolution is None else (False, True)

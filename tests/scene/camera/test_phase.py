@@ -13,6 +13,7 @@ from lfmesh.scene.camera.phase import AnyPhase
 from lfmesh.scene.inputs import files_of
 
 RADIAL = {"kind": "radial", "coefficients_rad": [-120.0, 3.5], "radius_mm": 5.0}
+SENSOR = {"pixels": [8, 8], "pixel_mm": 0.01}
 METALENS = {"kind": "metalens", "focal_length_mm": 0.5, "design_nm": 550.0}
 
 
@@ -34,7 +35,7 @@ def scene_of(surface: Mapping[str, Any], folder: Path | None = None, **keys: Any
                 ]
             },
             "focus_mm": 500.0,
-            "sensor": {"pixels": [8, 8], "pixel_mm": 0.01},
+            "sensor": SENSOR,
             **keys,
         },
         transport=transport,
@@ -247,6 +248,15 @@ class TestGrids:
         (tmp_path / "scene.toml").write_text(scene.dump_toml())
         assert lf.load(tmp_path / "scene.toml") == scene
 
+    def test_a_changed_file_changes_the_solved_scene(self, tmp_path: Path) -> None:
+        from lfmesh.geometry.lens.solved_camera import solved_camera
+
+        write_grid(tmp_path / "phase.npz")
+        scene = scene_of({"phase": {"kind": "grid", "file": "phase.npz"}}, tmp_path)
+        before = solved_camera(scene).paraxial.efl_mm
+        write_grid(tmp_path / "phase.npz", phase_rad=np.zeros((21, 31)))
+        assert solved_camera(scene).paraxial.efl_mm > 1.001 * before
+
     def test_a_grid_in_a_lens_file_lies_beside_it(self, tmp_path: Path) -> None:
         (tmp_path / "lenses").mkdir()
         write_grid(tmp_path / "lenses" / "phase.npz")
@@ -258,7 +268,7 @@ class TestGrids:
             camera={
                 "lens": {"file": "lenses/lens.toml"},
                 "focus_mm": 500.0,
-                "sensor": {"pixels": [8, 8], "pixel_mm": 0.01},
+                "sensor": SENSOR,
             }
         )
         phase = lf.solved(scene.in_folder(tmp_path)).camera.lens.surfaces[1].phase
@@ -309,6 +319,14 @@ ARRAY: dict[str, Any] = {"count": [8, 8], "pitch_mm": 0.12, "index": 1.5, "thick
 class TestArrays:
     """Phases of lenslets."""
 
+    def test_an_array_with_a_phase_may_be_flat(self) -> None:
+        scene = scene_of({}, mla=ARRAY | {"curved_phase": METALENS})
+        mla = lf.solved(scene).camera.mla
+        assert mla is not None
+        assert mla.types == 1
+        assert mla.radius_mm == (math.inf,)
+        assert lf.loads(scene.dump_toml()) == scene
+
     @pytest.mark.parametrize(
         ("keys", "said"),
         [
@@ -327,3 +345,25 @@ class TestArrays:
     def test_settings_that_exclude_a_phase_say_so(self) -> None:
         with pytest.raises(lf.SceneError, match=r"camera.mla.curved_phase: omit it: transport.polarisation"):
             scene_of({}, mla=ARRAY | {"curved_phase": METALENS}, transport={"polarisation": True})
+
+    def test_a_grid_covers_the_cells(self, tmp_path: Path) -> None:
+        write_grid(tmp_path / "phase.npz", spacing_mm=[0.005, 0.005])
+        keys = ARRAY | {"curved_phase": {"kind": "grid", "file": "phase.npz"}}
+        with pytest.raises(lf.SceneError, match=r"curved_phase: its grid ends 0.05 mm .* 0.06 mm"):
+            lf.solved(scene_of({}, tmp_path, mla=keys, sensor=SENSOR | {"distance_mm": 0.5}))
+
+    def test_a_changed_file_changes_the_solved_array(self, tmp_path: Path) -> None:
+        from lfmesh.geometry.lens.solved_camera import solved_camera
+
+        write_grid(tmp_path / "phase.npz", spacing_mm=[0.01, 0.01])
+        keys = ARRAY | {"curved_phase": {"kind": "grid", "file": "phase.npz"}}
+        scene = scene_of({}, tmp_path, mla=keys, sensor=SENSOR | {"distance_mm": 0.5})
+        found = []
+        for bend in (-10.0, -20.0):
+            x, y = np.linspace(-0.1, 0.1, 21), np.linspace(-0.15, 0.15, 31)
+            write_grid(tmp_path / "phase.npz", phase_rad=bend * (x[:, None] ** 2 + y**2), spacing_mm=0.01)
+            mla = solved_camera(scene).scene.camera.mla
+            assert mla is not None
+            assert mla.curved_phase is not None
+            found.append(mla.curved_phase.curvature_rad_mm2[0])
+        assert found == pytest.approx([-20.0, -40.0])

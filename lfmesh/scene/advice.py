@@ -5,9 +5,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning, in_order
-from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.scene.camera.lenslet_optics import sections
-from lfmesh.scene.camera.phase import Phase
 from lfmesh.scene.distance import length_in_words, reach_in_words
 from lfmesh.scene.first_order import axial_beam
 from lfmesh.scene.first_order.beam_bounds import CLOSE, Beam
@@ -21,6 +19,7 @@ from lfmesh.scene.model import format_path
 from lfmesh.scene.objects.shapes import Box, Cylinder, Disk, Plane, Sphere
 from lfmesh.scene.objects.targets import Target
 from lfmesh.scene.scene import Scene
+from lfmesh.scene.section_advice import section_warnings
 
 if TYPE_CHECKING:
     from lfmesh.scene.first_order.report import FirstOrder
@@ -43,8 +42,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_focus(scene, facts),
         *_stop_in_image(scene, facts),
         *_covering(facts),
-        *_between_sections(scene),
-        *_sections(facts),
+        *section_warnings(scene, facts),
         *(_apertures(scene, facts) if facts.working_f_number else ()),
         *_beyond_norm(scene),
         *_thin_layers(scene),
@@ -195,55 +193,6 @@ def _covering(facts: "FirstOrder") -> Iterator[str]:
                 f"{which} leave gaps in the plane they are focused on: its virtual depth is "
                 f"{abs(at.virtual_depth):.3g}, and full coverage needs {at.covering_depth:.3g} or more"
             )
-
-
-def _between_sections(scene: Scene) -> Iterator[str]:
-    """Warn of surfaces that the x and y sections do not fully describe."""
-    media = scene.camera.lens.media
-    for i, surface in enumerate(scene.camera.lens.surfaces):
-        turn = _turn_deg(surface.phase, scene.primary_nm, media[i + 1]) if surface.phase is not None else 0.0
-        if turn:
-            yield (
-                f"the phase of surface {i} turns light on the axis by {turn:.4g} degrees. First-order figures ignore "
-                "this turn, and light may fall beside apertures, array and sensor"
-            )
-        if not surface.is_symmetric:
-            key = surface.section_key
-            which = f"the phase of surface {i} is" if key is None else f"surface {i} is a {key},"
-            yield (
-                f"{which} not symmetric about x and y. First-order figures and "
-                "omitted clear apertures are computed from the sections along x and y only. Light between them may "
-                "focus elsewhere, or be cut off"
-            )
-
-
-def _turn_deg(phase: Phase, wavelength_nm: float, behind: Medium) -> float:
-    """Return the angle by which a phase turns light along the axis; 90 for an evanescent order."""
-    change = phase.path_per_rad_mm(wavelength_nm) * math.hypot(*phase.gradient_rad_mm)
-    return math.degrees(math.asin(min(abs(change) / refractive_index(behind, wavelength_nm), 1.0)))
-
-
-def _sections(facts: "FirstOrder") -> Iterator[str]:
-    """Warn of a lens that has different power in x and y, and of its astigmatism."""
-    if facts.efl_x_mm is None or facts.image_x_shift_mm is None:
-        return
-    if facts.efl_x_mm != facts.efl_mm:
-        in_y, in_x = (
-            f"{length:.5g} mm" if math.isfinite(length) else "infinite" for length in (facts.efl_mm, facts.efl_x_mm)
-        )
-        yield (
-            f"the lens is anamorphic: its focal length is {in_y} in y and {in_x} in x; first-order figures, "
-            "decoding, refocusing and depth use the one in y"
-        )
-    # Blur of a point in x; below the width of the Airy disk it is invisible.
-    ratio = facts.image_index * facts.working_f_number
-    blur = abs(facts.image_x_shift_mm) / ratio if ratio else math.inf
-    if blur > facts.airy_disk_mm:
-        side = "behind" if facts.image_x_shift_mm > 0 else "before"
-        yield (
-            "the lens is astigmatic: the plane in focus in y has its image in x "
-            f"{abs(facts.image_x_shift_mm):.4g} mm {side} the array or sensor"
-        )
 
 
 def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:

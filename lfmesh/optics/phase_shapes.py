@@ -19,6 +19,9 @@ RADIAL, XY, GRATING, METALENS, GRID, HOLOGRAM = range(6)
 SHAPE, GRID_HEADER = 2, 6
 """Numbers before the coefficients: of `XY` its shape, of `GRID` its shape, origin and samples per mm."""
 
+ROUNDED = 2.0**-40
+"""Rounding limit of derivatives of a spline, relative to the terms of their sums."""
+
 LEAST_SAMPLES = 4
 """Smallest number of samples along an axis of a grid: one cubic."""
 
@@ -199,5 +202,15 @@ def _grid_at_vertex(profile: PhaseProfile) -> tuple[float, float, float, float, 
     (i, *of_x), (j, *of_y) = bases
     part = grid_coefficients(profile)[i : i + 4, j : j + 4]
     orders = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-    x, y, xx, xy, yy = (float(of_x[a] @ part @ of_y[b]) for a, b in orders)
+    x, y, xx, xy, yy = (
+        _unless_rounded(float(of_x[a] @ part @ of_y[b]), float(np.abs(of_x[a]) @ np.abs(part) @ np.abs(of_y[b])))
+        for a, b in orders
+    )
+    if abs(xx - yy) <= ROUNDED * np.abs(part).max() * (per * per).max():
+        xx = yy = 0.5 * (xx + yy)
     return x, y, xx, xy, yy
+
+
+def _unless_rounded(total: float, size: float) -> float:
+    """Return a sum, or 0 if it vanishes within rounding; `size` adds the magnitudes of its terms."""
+    return total if abs(total) > ROUNDED * size else 0.0

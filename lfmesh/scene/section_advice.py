@@ -54,10 +54,10 @@ def _sections(facts: "FirstOrder") -> Iterator[str]:
     """Warn of a lens that has different power in x and y, and of its astigmatism."""
     if facts.efl_x_mm is None or facts.image_x_shift_mm is None:
         return
-    if facts.efl_x_mm != facts.efl_mm:
-        in_y, in_x = (
-            f"{length:.5g} mm" if math.isfinite(length) else "infinite" for length in (facts.efl_mm, facts.efl_x_mm)
-        )
+    in_y, in_x = (
+        f"{length:.5g} mm" if math.isfinite(length) else "infinite" for length in (facts.efl_mm, facts.efl_x_mm)
+    )
+    if in_x != in_y:
         yield (
             f"the lens is anamorphic: its focal length is {in_y} in y and {in_x} in x; first-order figures, "
             "decoding, refocusing and depth use the one in y"

@@ -155,3 +155,11 @@ def test_a_grid_is_smooth_up_to_its_second_derivatives() -> None:
     np.testing.assert_allclose(before, after, atol=1e-6)
     np.testing.assert_allclose(bent_before, bent_after, atol=1e-5)
     assert np.abs(bent_before).max() > 1.0
+
+
+def test_the_rounding_of_a_grid_is_no_tilt_of_its_vertex() -> None:
+    x = np.linspace(-3.0, 3.0, 64)
+    for phase in (-1e4 * (x[:, None] ** 2 + x**2), -50.0 * np.cos(x[:, None]) * np.cos(x)):
+        by_x, by_y, xx, xy, yy = vertex_derivatives(grid_profile(phase, 6.0 / 63.0))
+        assert by_x == by_y == xy == 0.0
+        assert xx == yy

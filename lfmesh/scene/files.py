@@ -342,8 +342,11 @@ def _library() -> dict[str, Path]:
 def _lens_table(path: Path, choices: FileChoices) -> tuple[dict[str, Any], tuple[float, ...]]:
     """Return the keys of any lens file and, if it is another program's, its wavelengths in nm."""
     if reader := reader_of(path):
+        # Tables without defaults, except for the kinds of their parts.
+        from lfmesh.scene import toml
+
         lens, wavelengths_nm = reader(path, choices)
-        return lens.model_dump(exclude_defaults=True), wavelengths_nm
+        return toml.table(lens), wavelengths_nm
     return _own_table(path, choices), ()
 
 

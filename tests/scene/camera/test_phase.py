@@ -226,6 +226,15 @@ def test_a_scene_with_a_phase_is_written_and_read_again(keys: dict[str, Any]) ->
     assert lf.solved(lf.solved(scene)) == lf.solved(scene)
 
 
+def test_a_phase_of_another_programs_file_keeps_its_kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scene takes the keys of a lens that a reader has made."""
+    lens = scene_of({"phase": RADIAL}).camera.lens
+    monkeypatch.setattr("lfmesh.scene.files.reader_of", lambda path: lambda *_: (lens, ()))
+    text = """schema_version = 1
+    camera = { lens = { file = "lens.zmx" }, focus_mm = 500.0, sensor = { pixels = [8, 8], pixel_mm = 0.01 } }"""
+    assert lf.loads(text, tmp_path).camera.lens == lens
+
+
 class TestGrids:
     """Phases from files."""
 

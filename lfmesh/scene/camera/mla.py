@@ -159,8 +159,13 @@ class MicrolensArray(Model):
 
     @property
     def frame_side(self) -> Literal["lens", "sensor"]:
-        """Side with the origin of the array's frame: that of the curved face, or the sensor's if both are curved."""
-        return "sensor" if self.has_back else self.curved_side
+        """Side with the origin of the array's frame: that of the curved face, or the sensor's if both turn light."""
+        return "sensor" if self.turns_twice else self.curved_side
+
+    @property
+    def turns_twice(self) -> bool:
+        """True if the face opposite the curved one has lenslets or a phase, too."""
+        return self.has_back or self.flat_phase is not None
 
     def profile_of(self, kind: int) -> tuple[float, tuple[float, ...]]:
         """Return the conic constant and the even terms of a lenslet type.

@@ -35,6 +35,10 @@ SUBDIVISIONS = 6
 DEPTH_WITHIN = 1e-6
 """Largest relative excess of the depth bounds of an aspheric face."""
 
+FLAT_LAYER, FLAT_SHARE = 1e-3, 1e-2
+"""Half the thickness of the layer about a flat face: in pitches, and at most in thicknesses of the plate. The borders
+of a layer must not lie on its face, or rounding would decide which of the two a ray meets first."""
+
 
 @by_address
 class Lenslets(NamedTuple):
@@ -52,7 +56,7 @@ class Lenslets(NamedTuple):
     stretch : (cells,) float64
         Curvature of each lenslet over its type's; empty if all are one.
     top, valley : float, mm
-        Least and largest z of the curved face.
+        Least and largest z of the curved face; a flat one lies between them.
     profile : Profile
         None if all lenslets are spheres; code for other faces is then not even compiled.
     clear_radius : float, mm
@@ -99,7 +103,7 @@ def lenslets(
     ----------
     lattice : Lattice
     radius_mm : (types,) float64
-        Signed.
+        Signed; inf: flat.
     thickness_mm : float
         From the apexes to the flat face.
     decenter_mm : float
@@ -149,6 +153,9 @@ def lenslets(
             f"camera.mla.thickness_mm = {thickness_mm:g}: the lenslets are {max(depths):.4g} mm deep at their corners "
             "and would cut through the flat face; give a thicker array or smaller form errors"
         )
+    if (~terms.any(axis=1) & (curvature == 0.0)).any():
+        layer = min(FLAT_LAYER * lattice.pitch, FLAT_SHARE * thickness_mm)
+        depths += [-layer, layer]
     return Lenslets(
         lattice=lattice,
         curvature=curvature,

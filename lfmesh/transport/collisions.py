@@ -23,7 +23,7 @@ from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, last_radius, r
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.frames import parts_in_camera
-from lfmesh.transport.tables.lens import back_lenslets, curved_lenslets, outermost
+from lfmesh.transport.tables.lens import curved_lenslets, other_lenslets, outermost
 from lfmesh.transport.tables.tables import MlaTables
 
 RECTANGLE = np.array([[0, 1, 3], [0, 3, 2]])
@@ -91,7 +91,7 @@ def refuse_impossible_camera(scene: Scene) -> None:
         refuse_crossing_elements(lens)
     if mla is not None:
         own = curved_lenslets(mla)
-        other = back_lenslets(mla, own) if mla.has_back else None
+        other = other_lenslets(mla, own)
         to_lens = mla.curved_side == "lens"
         # The frame of an array with lenslets on both faces starts from the face towards the sensor.
         slab = (

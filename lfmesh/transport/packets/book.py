@@ -93,7 +93,7 @@ class Book:
     lost_in_targets, lost_in_spaces : (n,) int64
         Slots of energy lost in each target, and in each space of the lens.
     coatings : dict of str to int
-        Slots of the coatings, by name.
+        Slots of the coatings and of other light lost at faces, by name.
     media : (n,) int64
         Slots of absorption in media.
     absorbers : (n,) int64
@@ -123,7 +123,8 @@ class Book:
         targets, spaces : list of str
             Names of the targets, and of the spaces of the lens.
         coatings, media, absorbers : sequence of str
-            Names of coatings, of media in object space, and of bodies of absorbing glass or liquid.
+            Names of coatings and of other light lost at faces, of media in object space, and of bodies of absorbing
+            glass or liquid.
         """
         slots = list(FIXED)
         numbers = []

@@ -15,12 +15,14 @@ from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.optics.share_table import FROM_THIN, PASSED, TERMS, looked_up
 from lfmesh.optics.walsh import diffuse_reflectance
 from lfmesh.scene import Scene
+from lfmesh.scene.camera.phase import Phase
 from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.scene.materials.finishes import POLISHED, Finish
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.tables.coatings import absorbs, coating_table
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
+from lfmesh.transport.tables.phase_faces import has_several_orders, lost_orders, phase_faces
 from lfmesh.transport.tables.tables import (
     ABSORBING,
     AIR,
@@ -61,6 +63,7 @@ class Face(NamedTuple):
         The first layer of a lens surface is towards the sensor.
     thin_lens_power_per_mm : float, optional
         Power of a thin lens in place of an interface.
+    phase : phase of the scene, optional
     """
 
     where: str
@@ -71,6 +74,12 @@ class Face(NamedTuple):
     finish: Finish = POLISHED
     begins_behind: bool = False
     thin_lens_power_per_mm: float | None = None
+    phase: Phase | None = None
+
+    @property
+    def name(self) -> str:
+        """Name in the ledger, without that of its coating."""
+        return self.body.removeprefix("coating of ")
 
 
 class InterfaceKind(NamedTuple):
@@ -132,7 +141,7 @@ def lens_faces(scene: Scene) -> list[Face]:
         if not lens.is_pure_stop(i):
             names = f"camera.lens.surfaces[{i}]", f"coating of lens surface {i}", surface.coating
             power = surface.thin_lens_power_per_mm if surface.paraxial else None
-            faces.append(Face(*names, outer, inner, surface.finish, behind, power))
+            faces.append(Face(*names, outer, inner, surface.finish, behind, power, surface.phase))
     return faces
 
 
@@ -144,9 +153,11 @@ def array_faces(scene: Scene) -> list[Face]:
         return [Face(each) for each in where]
     names = mla.curved_coating, mla.flat_coating
     bodies = [f"coating of the mla's {side} face" for side in ("curved", "flat")]
-    finishes = mla.curved_finish, mla.flat_finish
-    faces, outside = zip(where, bodies, names, finishes, strict=True), scene.camera.medium_behind_lens
-    return [Face(place, body, name, outside, mla.medium, finish) for place, body, name, finish in faces]
+    finishes, phases = (mla.curved_finish, mla.flat_finish), (mla.curved_phase, mla.flat_phase)
+    faces, outside = zip(where, bodies, names, finishes, phases, strict=True), scene.camera.medium_behind_lens
+    return [
+        Face(place, body, name, outside, mla.medium, finish, phase=phase) for place, body, name, finish, phase in faces
+    ]
 
 
 def cover_faces(scene: Scene) -> list[Face]:
@@ -184,10 +195,14 @@ def body_faces(scene: Scene, medium: int = AIR) -> list[Face]:
 
 
 def coatings_in_book(scene: Scene) -> list[str]:
-    """Return the ledger's names of a scene's coatings, one per coated face or body, and of its polariser."""
+    """Return the ledger's names of light lost at faces.
+
+    One per coated face or body, that of the polariser, and two per face with a phase.
+    """
     faces = (*lens_faces(scene), *array_faces(scene), *body_faces(scene), *cover_faces(scene))
     polariser = [POLARISER] if scene.camera.polariser_deg is not None else []
-    return [*(face.body for face in faces if face.coating != UNCOATED), *polariser]
+    orders = [name for face in faces if face.phase is not None for name in lost_orders(face.name)]
+    return [*(face.body for face in faces if face.coating != UNCOATED), *polariser, *orders]
 
 
 def refused_in_order(scene: Scene) -> str | None:
@@ -199,6 +214,8 @@ def refused_in_order(scene: Scene) -> str | None:
         kind = _kind_of(scene, face, wavelengths_nm)
         if kind >= ROUGH:
             return f"{face.where} is {KINDS[kind]}"
+        if face.phase is not None and has_several_orders(face.phase):
+            return f"{face.where} has a phase with several orders"
     return None
 
 
@@ -225,6 +242,14 @@ def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...], book: Book
                 _finishes(scene, its, wavelengths_nm),
                 [slots.get(face.body, NO_SLOT) for face in its],
                 len(wavelengths_nm),
+            )._replace(
+                phases=phase_faces(
+                    [face.phase for face in its],
+                    [(face.outer, face.inner) for face in its],
+                    [face.name for face in its],
+                    wavelengths_nm,
+                    slots,
+                )
             )
             for its in faces
         )
@@ -286,7 +311,7 @@ def finish_lines(scene: Scene) -> list[str]:
     for face in (*lens_faces(scene), *mla, *body_faces(scene)):
         if face.finish == POLISHED:
             continue
-        kind, name = _kind_of(scene, face, wavelengths_nm), face.body.removeprefix("coating of ")
+        kind, name = _kind_of(scene, face, wavelengths_nm), face.name
         said = face.finish.in_words()
         if kind == BARE:
             said += "; traced as polished"

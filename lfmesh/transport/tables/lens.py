@@ -33,6 +33,7 @@ from lfmesh.transport.packets.packet import (
     MLA_FRAME,
 )
 from lfmesh.transport.tables.media import MediumList, with_media
+from lfmesh.transport.tables.phase_faces import refuse_diffracting_phases
 from lfmesh.transport.tables.tables import (
     AIR,
     CURVED_ROW,
@@ -257,7 +258,8 @@ def mla_tables(
 ) -> tuple[dict[int, Mesh], MlaTables]:  # fmt: skip
     """Return the meshes of cells for Embree, by station, and the tables of the array.
 
-    A mesh has one cell per lenslet type, side by side. An array with lenslets on both faces has two meshes.
+    A mesh has one cell per lenslet type, side by side. An array with lenslets on both faces has two meshes. A flat face
+    with a phase counts as a face of flat lenslets.
 
     Parameters
     ----------
@@ -280,9 +282,9 @@ def mla_tables(
     is_curved, to_lens = scene.transport.surface == "patch", mla.curved_side == "lens"
     shift, mesh = OFFSET * shapes.lattice.pitch, _cells_side_by_side(shapes)
     tables = _cells(is_curved, True, shapes, mesh, shift, media, medium, interfaces, to_lens)
-    if not mla.has_back:
+    other = other_lenslets(mla, shapes)
+    if other is None:
         return {CELLS: mesh}, tables
-    other = back_lenslets(mla, shapes)
     other_mesh = _cells_side_by_side(other)
     back = _cells(is_curved, True, other, other_mesh, shift, media, medium, interfaces, not to_lens)
     back = back._replace(row=FLAT_ROW, face=BACK_FACE)
@@ -300,10 +302,16 @@ def with_diffraction(scene: Scene, mla: MlaTables, wavelengths_nm: tuple[float, 
     scene : Scene
     mla : MlaTables
     wavelengths_nm : (wavelengths,) tuple of float
+
+    Raises
+    ------
+    SceneError
+        The array has a phase.
     """
     given = scene.camera.mla
     if given is None or scene.transport.diffraction != "lenslets":
         return mla
+    refuse_diffracting_phases(scene)
     face, lever = _limiting_face(given, mla, len(wavelengths_nm) // 2)
     clear = mla.lenslets.clear_radius if mla.row == CURVED_ROW else mla.back.lenslets.clear_radius
     if face.row == CURVED_ROW and clear < np.inf:
@@ -377,13 +385,13 @@ def _limiting_face(given: MicrolensArray, mla: MlaTables, colour: int) -> tuple[
 
 
 def curved_lenslets(mla: MicrolensArray) -> Lenslets:
-    """Return the lenslets of the curved face of an array."""
+    """Return the lenslets of the curved face of an array; without a radius they are flat."""
     lattice = Lattice(
         mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
     )
     shapes = lenslets(
         lattice,
-        np.asarray(mla.radius_mm, dtype=np.float64),
+        np.asarray(mla.radii_mm, dtype=np.float64),
         mla.thickness_mm,
         decenter_mm=mla.form.decenter_mm,
         radius_error=mla.form.radius_error,
@@ -397,24 +405,34 @@ def curved_lenslets(mla: MicrolensArray) -> Lenslets:
     return shapes
 
 
-def back_lenslets(mla: MicrolensArray, front: Lenslets) -> Lenslets:
-    """Return the lenslets of the face opposite the curved face.
+def other_lenslets(mla: MicrolensArray, front: Lenslets) -> Lenslets | None:
+    """Return the lenslets of the face opposite the curved face; None if it is flat and has no phase.
+
+    Parameters
+    ----------
+    mla : MicrolensArray
+    front : Lenslets
+        Of the curved face.
 
     Raises
     ------
     SceneError
         The layers of the two faces overlap.
     """
-    form = mla.back
-    assert form is not None
-    other = lenslets(
-        front.lattice,
-        np.array([form.radius_mm]),
-        mla.thickness_mm,
-        conic=(form.conic,),
-        asphere_mm=(form.asphere_mm,),
-        cylinder_axis=form.cylinder_axis,
-    )
+    if not mla.turns_twice:
+        return None
+    if mla.has_back and mla.back is not None:
+        form = mla.back
+        other = lenslets(
+            front.lattice,
+            np.array([form.radius_mm]),
+            mla.thickness_mm,
+            conic=(form.conic,),
+            asphere_mm=(form.asphere_mm,),
+            cylinder_axis=form.cylinder_axis,
+        )
+    else:
+        other = lenslets(front.lattice, np.array([np.inf]), mla.thickness_mm)
     if front.valley + other.valley >= mla.thickness_mm:
         raise SceneError(
             f"camera.mla.thickness_mm = {mla.thickness_mm:g}: the lenslets of the two faces are up to "

@@ -26,6 +26,8 @@ class Interfaces(NamedTuple):
     coated: bool = False  # whether any of them is not bare
     thin: bool = False  # whether any of them is a thin lens
     rough: bool = False  # whether any of them scatters light
+    # PhaseFaces if any of them has a phase, else None: code for the other case is not even compiled.
+    phases: Any = None
 
 
 @by_address

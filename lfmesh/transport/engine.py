@@ -70,6 +70,7 @@ from lfmesh.transport.sequences.ghosts import GhostRoom, follow_ghosts, ghost_ro
 from lfmesh.transport.sequences.image_path import follow_image_path
 from lfmesh.transport.tables.lamp_tree import MOST_ASKED
 from lfmesh.transport.tables.media import clear
+from lfmesh.transport.tables.phase_faces import carrying, most_orders
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.threads import stop_if_unwanted
 from lfmesh.transport.world import World
@@ -114,13 +115,13 @@ class Workspace:
 
     def __init__(self, world: World, options: Options, chunk: int = CHUNK, tables: Tables | None = None) -> None:
         self.world = world
-        self.tables = tables or world.tables
+        self.tables = carrying(tables or world.tables, importance=options.importance)
         self.options = options
         self.chunk = chunk
         polarised = self.tables.polarised is not None
         packet, ended = (POLARISED, POLARISED_END) if polarised else (PACKET, END)
         self.tops = np.zeros(TOPS, np.int64)
-        self.stacks = Stacks(packet, self.tops)
+        self.stacks = Stacks(packet, self.tops, max(CHILDREN, most_orders(self.tables)))
         self.asked = np.zeros(MOST_NODES, ASKED)
         self.origins = np.zeros((chunk, 3), np.float32)
         self.directions = np.zeros((chunk, 3), np.float32)
@@ -339,16 +340,16 @@ class Workspace:
         # At an interface there are two; at a target one for each lamp that it asks, an aimed and a scattered one.
         asked = min(len(self.tables.objects.lamps.rows), MOST_ASKED)
         if self.tables.objects.volumes is None:
-            return asked + CHILDREN
+            return asked + self.stacks.children
         # A medium on its way may also scatter it, and ask lamps from two points.
-        return 3 * asked + 2 * CHILDREN
+        return 3 * asked + 2 * self.stacks.children
 
     def _reserve(self, packets: int) -> None:
         """Make room for the deposits, ends and vertices of a wave of packets."""
         if not self.options.adjoint and not self.options.tracing:
             self.deposits = _grown(self.deposits, int(self.tops[DEPOSITS]) + packets)
         if self.options.tracing or self.options.record:
-            ends = int(self.tops[ENDED]) + 2 * packets
+            ends = int(self.tops[ENDED]) + self.stacks.children * packets
             if ends > MOST_ENDS:
                 raise LfmeshError(
                     f"{self.chunk:,} rays or fewer end in more than {MOST_ENDS:,} packets: raise weight_cutoff above "
@@ -356,7 +357,7 @@ class Workspace:
                 )
             self.ended = _grown(self.ended, ends)
         if self.options.record:
-            need = int(self.tops[NODES]) + 4 * packets
+            need = int(self.tops[NODES]) + 2 * self.stacks.children * packets
             if self.recorded + need > MOST_VERTICES:
                 raise LfmeshError(
                     f"the paths have more than {MOST_VERTICES:,} vertices: launch fewer rays, or raise weight_cutoff "

@@ -75,9 +75,7 @@ def _through_meshes(
 
     Their places and directions are in the camera frame.
     """
-    options = work.options._replace(
-        tracing=True, importance=False, faces=BY_MESH, thinning=Thinning(BOTH, 0.0, 0.0), paths=EVERY
-    )
+    options = work.options._replace(tracing=True, faces=BY_MESH, thinning=Thinning(BOTH, 0.0, 0.0), paths=EVERY)
     mesh = Workspace(world, options, max(len(packets), 1), work.tables._replace(ghosts=None))
     mesh.begin(packets=len(packets))
     packets["source"] = np.arange(len(packets))

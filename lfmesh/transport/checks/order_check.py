@@ -45,6 +45,9 @@ LARGEST_MM = 1e-9
 _ARRAY_SPACES, _LARGEST_ROW = 4, 1 << 15
 """Strict upper bounds of the number of the array's spaces, and of the cells in a row."""
 
+_MOST_ORDERS = 1 << 10
+"""Strict upper bound of the number of diffraction orders of a phase."""
+
 _OUTCOME = np.dtype([("source", "i8"), ("name", "i8"), ("position", "f8", (3,)), ("weight", "f8")])
 """A child or an end: its parent packet, and a number that identifies it."""
 
@@ -189,8 +192,19 @@ def _outcomes(work: Workspace, packets: NDArray[np.void]) -> tuple[NDArray[np.vo
         rows["name"], rows["source"] = -1 - ended["body"], ended["source"]
         found.append(rows)
     outcomes = np.concatenate(found)
-    outcomes["name"] = outcomes["name"] * len(packets) + outcomes["source"]
+    names = outcomes["name"] * len(packets) + outcomes["source"]
+    # Children of one packet that go on alike are orders of a phase, which are queued by their numbers.
+    outcomes["name"] = names * _MOST_ORDERS + _ranks(names)
     return outcomes, np.concatenate(undecided)
+
+
+def _ranks(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return for each value how many equal ones stand before it, (n,)."""
+    order = np.argsort(values, kind="stable")
+    _, counts = np.unique(values, return_counts=True)
+    ranks = np.empty(len(values), np.int64)
+    ranks[order] = np.arange(len(values)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return ranks
 
 
 def _taken(work: Workspace, station: int) -> NDArray[np.void]:

@@ -1,7 +1,7 @@
 """Interfaces: shares of reflected and transmitted power, and the children of a packet.
 
-Only this module depends on the kind of an interface (see `tables.interfaces`), and only it divides packets. The regions
-find hits and the destinations of children.
+Only this module depends on the kind of an interface (see `tables.interfaces`), and only it and `events.phase` divide
+packets. The regions find hits and the destinations of children.
 """
 
 from collections.abc import Callable

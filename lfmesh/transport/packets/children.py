@@ -25,6 +25,9 @@ IN_DENSITY = 5 << 20
 IN_KICK = 6 << 20
 """Change of direction by diffraction."""
 
+IN_ORDER = 7 << 20
+"""Child in a further diffraction order of a phase; its own children have the numbers of the orders."""
+
 TOWARDS_SCATTERED = 8 << 20
 """Ray past a lamp, whose light a medium scatters."""
 

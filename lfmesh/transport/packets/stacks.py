@@ -13,7 +13,8 @@ MOST_BYTES = 256 << 20
 """Largest size of the stacks of one thread, except for packets that are started all at once."""
 
 CHILDREN = 2
-"""Most packets that one packet adds to a stack, except the stack of object space, where points ask lamps."""
+"""Most packets that one packet adds to a stack, except the stack of object space, where points ask lamps, and except at
+phases with several orders."""
 
 _WAVE, _WAVE_OF_OBJECTS = STATIONS, STATIONS + 1
 """Places of the last waves: of stations other than object space, and of object space, which has a longer stack."""
@@ -28,6 +29,8 @@ class Stacks:
         Of the packets.
     tops : (TOPS,) int64
         Number of packets in each stack, updated by kernels.
+    children : int
+        Most packets that one packet adds to a stack other than that of object space.
 
     Attributes
     ----------
@@ -36,8 +39,9 @@ class Stacks:
         Start of each stack in `memory`.
     """
 
-    def __init__(self, record: np.dtype[np.void], tops: NDArray[np.int64]) -> None:
+    def __init__(self, record: np.dtype[np.void], tops: NDArray[np.int64], children: int = CHILDREN) -> None:
         self.record = record
+        self.children = children
         self.memory = np.zeros(0, record)
         self.begins = np.zeros(STATIONS + 2, np.int64)
         self._tops = tops
@@ -86,7 +90,7 @@ class Stacks:
         ----------
         packets : int
         """
-        self._grow(*self._need(packets, CHILDREN))
+        self._grow(*self._need(packets, self.children))
 
     def fitted(self, count: int, children: int) -> int:
         """Make room for a wave's children; return the number of its packets, fewer if more would not fit.
@@ -107,7 +111,7 @@ class Stacks:
     def _need(self, packets: int, children: int) -> tuple[int, int]:
         """Return the room that packets of one station may need in any stack, and in that of object space."""
         tops = self._tops[:STATIONS]
-        others = max(int(tops[:OBJECTS].max()), int(tops[OBJECTS + 1 :].max())) + CHILDREN * packets
+        others = max(int(tops[:OBJECTS].max()), int(tops[OBJECTS + 1 :].max())) + self.children * packets
         return max(self._room, others), max(self._room_of_objects, int(tops[OBJECTS]) + children * packets)
 
     def _grow(self, room: int, room_of_objects: int) -> None:

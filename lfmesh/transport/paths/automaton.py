@@ -16,7 +16,8 @@ decide the class, in this order:
    the lens or array; a reflection at glass in object space that could have refracted (total reflection there continues
    the image path); and a second hit in succession on the same curved side of the array. Their place on the path does
    not matter. Scattering at targets and rough glass before or after changes nothing. The mesh engine, which estimates
-   `EVERY` path at once, traces rough surfaces of the lens and array.
+   `EVERY` path at once, traces rough surfaces of the lens and array. A diffraction order of a phase counts as the
+   refraction, or the reflection, on its side.
 
 If ghosts have their own estimator, `OFF_IMAGE_PATH` is divided into `GHOSTS` and `OTHER_STRAYS`. Seen from the sensor,
 a ghost path first leaves the camera after exactly two reflections, each at a refracting surface of the lens, a face of

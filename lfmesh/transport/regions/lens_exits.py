@@ -20,6 +20,7 @@ from lfmesh.transport.events.interface import (
     splitter,
     through_thin_lens,
 )
+from lfmesh.transport.events.phase import light_at_phase, order_splitter
 from lfmesh.transport.events.polarisation import IN_LENS, shares_by_state
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import HOUSING, STOP, THIN_LENSES
@@ -125,7 +126,8 @@ def leave_lens(
 def _leaves_for_good(lens: LensTables, into: int, dz: float) -> bool:
     """Tell whether a ray from an outermost surface leaves the lens and cannot meet it again.
 
-    True if the surface bulges outwards, or the ray is steeper than it everywhere.
+    True if the surface bulges outwards, or the ray is steeper than it everywhere. Refraction does not matter, so this
+    holds for rays that a finish or a phase turns as well.
     """
     last = len(lens.surfaces)
     return (into == 0 and (lens.convex_front or -dz > lens.order[0, 11])) or (
@@ -164,6 +166,22 @@ _send_scattered = scatterer(_send_child)
 
 
 @inlined
+def _send_order(
+    place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
+) -> None:  # fmt: skip
+    """Queue the child of a packet in an order of the phase of surface `k`; its direction is in the surface's frame."""
+    block, i, k, _, lens, _ = place
+    if lens.surfaces[k].posed:
+        dx, dy, dz = direction_through(lens.surfaces[k].pose, dx, dy, dz)
+    set_child(block, (REFRACTED if refracts else REFLECTED) + i, i, dx, dy, dz)
+    _send_child(place, options, flow, frames, packet, refracts, x, y, z, dx, dy, dz, weight, key)
+
+
+_split_orders = order_splitter(_send_order)
+
+
+@inlined
 def divide_at_surface(
     block: Array, i: int, packet: Any, k: int,
     lens: LensTables, has_mla: bool, frames: Array, options: Options, flow: Flow,
@@ -188,6 +206,8 @@ def divide_at_surface(
     if packet.last == k:
         packet.path = FACE_AGAIN[packet.path]
     x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], block[PX + i], block[PY + i], block[PZ + i])
+    if _divided_by_phase(lens.interfaces.phases, block, i, packet, k, lens, has_mla, frames, options, flow, (x, y, z)):
+        return
     reflectance, transmittance = block[REFLECTANCE + i], block[TRANSMITTANCE + i]
     if lens.interfaces.coated:
         n_i, n_t = block[N_I + i], block[N_T + i]
@@ -218,6 +238,42 @@ def divide_at_surface(
         (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
         (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
     )  # fmt: skip
+
+
+@inlined
+def _divided_by_phase(
+    phases: Any, block: Array, i: int, packet: Any, k: int,
+    lens: LensTables, has_mla: bool, frames: Array, options: Options, flow: Flow, place: tuple[float, float, float],
+) -> bool:  # fmt: skip
+    """Divide a packet of a block into the orders of surface `k`; return False if it has no phase.
+
+    Parameters
+    ----------
+    phases : PhaseFaces or None
+        None: no surface of the lens has one.
+    place : (3,) float, mm, camera frame
+        Point on the surface.
+    """
+    if phases is None:
+        return False
+    if phases.number[k] < 0:
+        return False
+    (x, y, z), surface = place, lens.surfaces[k]
+    px, py, dx, dy, dz = x, y, packet.dx, packet.dy, packet.dz
+    nx, ny, nz = block[NX + i], block[NY + i], block[NZ + i]
+    if surface.posed:
+        px, py, _ = point_through(surface.unpose, x, y, z)
+        dx, dy, dz = direction_through(surface.unpose, dx, dy, dz)
+        nx, ny, nz = direction_through(surface.unpose, nx, ny, nz)
+    light = light_at_phase(
+        lens.interfaces, phases, k, packet.colour, (block[N_I + i], block[N_T + i]), (dx, dy, dz), (nx, ny, nz),
+        (px, py), k != packet.space,
+    )  # fmt: skip
+    _split_orders(
+        (block, i, k, packet.space, lens, has_mla), options, flow, frames, CAMERA_FRAME, packet, k, NO_SURFACE,
+        lens.medium[k + 1 if k == packet.space else k], x, y, z, lens.interfaces, phases, light,
+    )  # fmt: skip
+    return True
 
 
 @kernel

@@ -36,6 +36,7 @@ from lfmesh.transport.events.crossing import end, requery, too_deep, write_query
 from lfmesh.transport.events.facets import clear_of, facet_normal, meets_patch, next_query_from
 from lfmesh.transport.events.interface import is_rough, scatterer, splitter
 from lfmesh.transport.events.kick import kicked
+from lfmesh.transport.events.phase import light_at_phase, order_splitter
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import EVANESCENT, LOST_IN_MLA, MLA_EDGE, MLA_MASK, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import LEFT_FACE, NO_SURFACE, PLATE, S_ABSORBED, Flow, Options, put
@@ -370,7 +371,9 @@ def _send_from_curved_face(
     """Queue a child of a packet at a curved face that the parent met from outside (`inward`) or from the glass.
 
     A child cannot meet its own lenslet again if that is a single sphere, or less steep than the child. If it then
-    leaves the layer before the cell, it is through; else it may meet a neighbouring lenslet.
+    leaves the layer before the cell, it is through; else it may meet a neighbouring lenslet. (A line that
+    meets a sphere twice crosses the border of the layer outside the cell.) This is geometry, not refraction: it holds
+    for directions that a finish or a phase gives as well.
     """
     mla, lens_surfaces, inward, prim, normal = place
     lenslets = mla.lenslets
@@ -402,6 +405,7 @@ def _send_from_curved_face(
 
 _split_at_curved_face = splitter(_send_from_curved_face)
 _scatter_at_curved_face = scatterer(_send_from_curved_face)
+_split_orders_at_curved_face = order_splitter(_send_from_curved_face)
 
 
 @inlined
@@ -417,6 +421,10 @@ def _through_face(
     packet.last = LEFT_FACE
     cell = packet.row * mla.lenslets.lattice.columns + packet.column
     normal = block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i]
+    if _divided_by_phase(
+        mla.interfaces.phases, block, i, packet, prim, mla, frames, lens_surfaces, options, flow, inward, cell
+    ):
+        return
     if mla.interfaces.rough and is_rough(mla.interfaces, mla.row):
         passes, dx, dy, dz = scattered_at_face(block, i, packet, mla, mla.row, options)
         _scatter_at_curved_face(
@@ -434,3 +442,38 @@ def _through_face(
         (block[r + rows.ALONG_X], block[r + rows.ALONG_Y], block[r + rows.ALONG_Z]),
         (block[t + rows.ALONG_X], block[t + rows.ALONG_Y], block[t + rows.ALONG_Z]),
     )  # fmt: skip
+
+
+@inlined
+def _divided_by_phase(
+    phases: Any, block: Array, i: int, packet: Any, prim: int,
+    mla: MlaTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow, inward: bool, cell: int,
+) -> bool:  # fmt: skip
+    """Divide a packet of a block into the orders of its lenslet; return False if that has no phase.
+
+    Parameters
+    ----------
+    phases : PhaseFaces or None
+        None: no face of the array has one.
+    inward : bool
+        It comes from outside the plate.
+    cell : int
+        Number of the lenslet.
+    """
+    if phases is None:
+        return False
+    if phases.number[mla.row] < 0:
+        return False
+    x, y, z = block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i]
+    normal = block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i]
+    cx, cy = centre(mla.lenslets.lattice, packet.column, packet.row)
+    _, ex, ey = shape_of(mla.lenslets, packet.column, packet.row)
+    light = light_at_phase(
+        mla.interfaces, phases, mla.row, packet.colour, (block[rows.N_I + i], block[rows.N_T + i]),
+        (block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i]), normal, (x - cx - ex, y - cy - ey), not inward,
+    )  # fmt: skip
+    _split_orders_at_curved_face(
+        (mla, lens_surfaces, inward, prim, normal), options, flow, frames, mla.frame, packet, mla.face, cell,
+        mla.medium if inward else AIR, x, y, z, mla.interfaces, phases, light,
+    )  # fmt: skip
+    return True

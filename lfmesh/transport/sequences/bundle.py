@@ -40,7 +40,9 @@ SCRATCH = 32 * BLOCK
 # deflection drawn in advance, and the number of events before it (−1: none drawn).
 KEY, EVENTS_BEFORE = 40 * BLOCK, 41 * BLOCK
 KICK_X, KICK_Y, KICK_AT = 42 * BLOCK, 43 * BLOCK, 44 * BLOCK
-ROWS = 45
+# At a face with a phase: the intersection point, mm, in the frame of the phase.
+PHASE_X, PHASE_Y = 45 * BLOCK, 46 * BLOCK
+ROWS = 47
 
 DROPPED = -1.0
 """In place of slot + 1: the ray has left its path, and all its power was left behind."""

@@ -1,14 +1,17 @@
 """Division of light at an interface: a block of rays continues refracted or reflected.
 
-Covers bare, coated and absorbing interfaces and thin lenses of all shapes. The bundle holds the intersections and
-normals. Power absorbed by a coating is booked; the rest that does not continue is left behind.
+Covers bare, coated and absorbing interfaces, also with a phase, and thin lenses of all shapes. The bundle holds the
+intersections and normals. Power absorbed by a coating is booked, and so is the power of a phase in orders that are not
+followed; the rest that does not continue is left behind.
 """
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.ray import Ray
-from lfmesh.kernels.decorators import kernel, pasted
+from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, fused, select
 from lfmesh.optics.fresnel import amplitude_sums, fresnel, refraction, transmittance
 from lfmesh.optics.share_table import (
@@ -20,6 +23,14 @@ from lfmesh.optics.share_table import (
     variable_under_total_reflection,
 )
 from lfmesh.transport.events.interface import through_thin_lens
+from lfmesh.transport.events.phase import (
+    EVANESCENT,
+    absorbed_at_phase,
+    has_phase,
+    light_at_phase,
+    towards_order,
+    unlisted_at_phase,
+)
 from lfmesh.transport.packets.book import THIN_LENSES
 from lfmesh.transport.sequences.bundle import (
     AT_X,
@@ -40,6 +51,8 @@ from lfmesh.transport.sequences.bundle import (
     NX,
     NY,
     NZ,
+    PHASE_X,
+    PHASE_Y,
     PIECE,
     REFLECTED,
     TAKEN,
@@ -50,6 +63,7 @@ from lfmesh.transport.sequences.bundle import (
     Y,
     Z,
 )
+from lfmesh.transport.tables.phase_faces import EVANESCENT_ORDERS, FIRST_TRANSMITTED, UNLISTED_ORDERS
 from lfmesh.transport.tables.tables import ABSORBING, BARE, THIN_LENS, Interfaces
 
 Array = NDArray[np.float64]
@@ -65,6 +79,9 @@ def divide(
     mirrors: bool, book: Array,
 ) -> None:  # fmt: skip
     """Take the rays of a bundle through their face, or reflect them there.
+
+    A phase turns transmitted rays into its main order, and leaves reflected ones in the zeroth. It needs the rows
+    `PHASE_X` and `PHASE_Y`.
 
     Parameters
     ----------
@@ -83,7 +100,9 @@ def divide(
         Receives light absorbed by a coating.
     """
     row = interfaces.rows[number]
-    if row.kind == THIN_LENS:
+    if not mirrors and has_phase(interfaces.phases, number):
+        _through_phase(interfaces.phases, bundle, interfaces, number, colour, indices, outward, book)
+    elif row.kind == THIN_LENS:
         _through_thin_lens(bundle, interfaces, number, colour)
     elif row.kind == BARE and not mirrors:
         _refract(bundle, indices)
@@ -292,6 +311,42 @@ def _through_thin_lens(bundle: Array, interfaces: Interfaces, number: int, colou
         go_on(bundle, i, True, Ray(x, y, z, ux, uy, uz), bundle[FATE + i], 1.0, 0.0)
         passed = both(ended == 0.0, bundle[ENDED_ON + i] == 0.0)
         bundle[ETENDUE + i] *= select(passed, factor, 1.0)
+
+
+@inlined
+def _through_phase(
+    phases: Any, bundle: Array, interfaces: Interfaces, number: int, colour: int, indices: tuple[float, float],
+    outward: bool, book: Array,
+) -> None:  # fmt: skip
+    """Turn rays into the main order of a phase; `phases` : PhaseFaces or None."""
+    if phases is None:
+        return
+    listed = phases.first[number, FIRST_TRANSMITTED]
+    absorbed, evanescent, unlisted = 0.0, 0.0, 0.0
+    for i in range(BLOCK):
+        dx, dy, dz, weight = bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i]
+        share, taken = 1.0, 0.0
+        if bundle[ENDED_ON + i] == 0.0 and bundle[FATE + i] == 0.0:
+            light = light_at_phase(
+                interfaces, phases, number, colour, indices, (dx, dy, dz),
+                (bundle[NX + i], bundle[NY + i], bundle[NZ + i]), (bundle[PHASE_X + i], bundle[PHASE_Y + i]), outward,
+            )  # fmt: skip
+            share, of_light, dx, dy, dz = towards_order(interfaces, phases, light, listed, False)
+            in_coating, in_none, lost = absorbed_at_phase(interfaces, light), unlisted_at_phase(phases, light), 0.0
+            if share == EVANESCENT:
+                share, lost = 0.0, of_light
+            else:
+                in_none += of_light - share
+            absorbed += weight * in_coating
+            evanescent += weight * lost
+            unlisted += weight * in_none
+            taken = weight * (in_coating + lost + in_none)
+        x, y, z = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
+        go_on(bundle, i, True, Ray(x, y, z, dx, dy, dz), bundle[FATE + i], share, taken)
+    book[phases.slot[number, EVANESCENT_ORDERS]] += evanescent
+    book[phases.slot[number, UNLISTED_ORDERS]] += unlisted
+    if absorbed != 0.0:
+        book[interfaces.rows[number].slot] += absorbed
 
 
 @kernel

@@ -142,6 +142,8 @@ def _along_lens(
 ) -> None:
     """Take a bundle along lens surfaces and through the stop."""
     space, last = 0 if to_sensor else len(lens.surfaces), -1
+    # A phase may turn rays to any side, also along a concave surface.
+    checked = checked or _has_phases(lens.interfaces.phases)
     begin_etendue(lens.interfaces, bundle)
     for step in range(len(steps) + 1):
         ends = step == len(steps)
@@ -166,6 +168,12 @@ def _along_lens(
         for i in range(BLOCK):
             if bundle[ENDED_ON + i] == 0.0 and bundle[AGAIN + i] < np.inf:
                 drop(bundle, i)
+
+
+@inlined
+def _has_phases(phases: Any) -> bool:
+    """Tell whether a region has phases; `phases` : PhaseFaces or None."""
+    return phases is not None
 
 
 @kernel

@@ -1,7 +1,7 @@
 """Intersections of blocks of rays with lens surfaces, one function per shape.
 
 A new shape is a branch of `meet_surface`, which finds distance, point and normal for each ray of a bundle. Bare
-spheres, the most common surfaces, are intersected and refracted in one step.
+spheres, the most common surfaces, are intersected and refracted in one step if they have no phase.
 """
 
 from typing import Any
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN, NEWTON_STEPS, SETTLED, distance_to, first_crossing, form_at
 from lfmesh.geometry.surfaces.tessellation import OVERREACH
-from lfmesh.kernels.decorators import kernel, pasted
+from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, fused, select
 from lfmesh.optics.fresnel import amplitude_sums, transmittance
+from lfmesh.transport.events.phase import has_phase
 from lfmesh.transport.sequences.bundle import (
     AGAIN,
     AT_X,
@@ -30,6 +31,8 @@ from lfmesh.transport.sequences.bundle import (
     NX,
     NY,
     NZ,
+    PHASE_X,
+    PHASE_Y,
     SCRATCH,
     T,
     X,
@@ -91,7 +94,8 @@ def at_surface(
     before, behind = medium[k + 1 - into], medium[k + into]
     indices = (media.indices[before, colour], media.indices[behind, colour])
     is_sphere = surface.terms == 0 and surface.conic == 0.0
-    if is_sphere and lens.interfaces.rows[k].kind == BARE and not mirrors and _is_clear(media.absorption):
+    is_bare = lens.interfaces.rows[k].kind == BARE and not has_phase(lens.interfaces.phases, k)
+    if is_sphere and is_bare and not mirrors and _is_clear(media.absorption):
         _through_sphere(bundle, surface, sense, indices, fates, nearest, checked)
     else:
         meet_surface(bundle, surface, sense)
@@ -99,6 +103,7 @@ def at_surface(
         if checked:
             _check(bundle, surface.curvature if is_sphere else 0.0, surface.vertex_z)
         absorb(bundle, media.absorption, before, colour, book)
+        _place_on_axis(lens.interfaces.phases, bundle)
         divide(bundle, lens.interfaces, k, colour, indices, sense < 0.0, mirrors, book)
     if surface.posed:
         move_bundle(bundle, surface.pose)
@@ -107,6 +112,15 @@ def at_surface(
 @pasted
 def _is_clear(absorption: Any) -> bool:
     return absorption is None
+
+
+@inlined
+def _place_on_axis(phases: Any, bundle: Array) -> None:
+    """Set the intersections in the frame of a surface's phase, if the lens has any (`phases` : PhaseFaces or None)."""
+    if phases is None:
+        return
+    for i in range(BLOCK):
+        bundle[PHASE_X + i], bundle[PHASE_Y + i] = bundle[AT_X + i], bundle[AT_Y + i]
 
 
 @kernel

@@ -47,6 +47,8 @@ from lfmesh.transport.sequences.bundle import (
     DZ,
     ENDED_ON,
     FATE,
+    PHASE_X,
+    PHASE_Y,
     SCRATCH,
     X,
     Y,
@@ -108,6 +110,7 @@ def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colo
     in_air = inward == mirrors
     if inward:
         diffract(mla.apertures, mla.row, bundle, colour, 1.0)
+    _place_on_lenslets(mla.interfaces.phases, bundle, mla.lenslets)
     divide(bundle, mla.interfaces, mla.row, colour, _indices(mla, inward, colour), not inward, mirrors, book)
     if in_air:
         diffract(mla.apertures, mla.row, bundle, colour, -1.0 if mirrors else 1.0)
@@ -134,6 +137,24 @@ def _end_on_mask(bundle: Array, lenslets: Lenslets) -> None:
             x, y = bundle[AT_X + i] - cx, bundle[AT_Y + i] - cy
             if not x * x + y * y <= clear_radius * clear_radius:
                 bundle[FATE + i] = MLA_MASK + 1.0
+
+
+@inlined
+def _place_on_lenslets(phases: Any, bundle: Array, lenslets: Lenslets) -> None:
+    """Set the intersections relative to the lenslets' apexes, for the phase of a face if the array has any.
+
+    Parameters
+    ----------
+    phases : PhaseFaces or None
+    """
+    if phases is None:
+        return
+    for i in range(BLOCK):
+        if bundle[ENDED_ON + i] == 0.0 and bundle[FATE + i] == 0.0:
+            column, row = int(bundle[_COLUMN + i]), int(bundle[_ROW + i])
+            cx, cy = centre(lenslets.lattice, column, row)
+            _, ex, ey = shape_of(lenslets, column, row)
+            bundle[PHASE_X + i], bundle[PHASE_Y + i] = bundle[AT_X + i] - cx - ex, bundle[AT_Y + i] - cy - ey
 
 
 @inlined

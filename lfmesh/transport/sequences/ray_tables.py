@@ -19,6 +19,7 @@ from lfmesh.transport.sequences.follower import (
 )
 from lfmesh.transport.sequences.sequences import Faces, Itinerary, image_path
 from lfmesh.transport.tables.cover import CoverTables
+from lfmesh.transport.tables.phase_faces import of_faces, slots_of
 from lfmesh.transport.tables.tables import Camera, LensTables, MlaTables, Tables
 
 Array = NDArray[np.float64]
@@ -105,10 +106,10 @@ def lens_of_faces(lens: LensTables, first: int, last: int) -> LensTables:
     first, last : int
         First face, and end of the faces (excluded).
     """
-    rows = lens.interfaces._replace(rows=lens.interfaces.rows[first:last])
     stop_space = lens.stop_space - first
     return lens._replace(
-        surfaces=lens.surfaces[first:last], medium=lens.medium[first : last + 1], interfaces=rows,
+        surfaces=lens.surfaces[first:last], medium=lens.medium[first : last + 1],
+        interfaces=of_faces(lens.interfaces, first, last),
         ring_slot=lens.ring_slot[first : last + 1], mount_slot=lens.mount_slot[first:last],
         stop_space=stop_space if 0 <= stop_space <= last - first else -1,
     )  # fmt: skip
@@ -146,7 +147,7 @@ def follow_route(camera: Camera, route: Route, rays: Array, legs: tuple[int, int
 def unread_book(*regions: LensTables | MlaTables | CoverTables | None) -> Array:
     """Return a book with a slot for all absorption in parts of a camera, not to be read."""
     there = [region for region in regions if region is not None]
-    slots = [region.interfaces.rows["slot"] for region in there]
+    slots = [slots_of(region.interfaces) for region in there]
     slots += [region.media.absorption.slot for region in there if region.media.absorption is not None]
     return np.zeros(1 + max(int(each.max(initial=0)) for each in slots))
 

@@ -23,6 +23,7 @@ from lfmesh.transport.sequences.follower import (
     image_route,
 )
 from lfmesh.transport.sequences.ray_tables import follow_route, lens_of_faces
+from lfmesh.transport.tables.phase_faces import carrying, first_order
 from lfmesh.transport.tables.tables import (
     FACES_OF_ARRAY,
     Camera,
@@ -147,11 +148,13 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     space, z, rim, depth, pose = _stop_of(lens)
     moves = through.frames[MLA_FRAME if through.mla.present else SENSOR_FRAME, CAMERA_FRAME]
     centre_x, centre_y = through.frames[SENSOR_FRAME, CAMERA_FRAME][:2, 3]
-    height, angle = _to_plane(lens, space, z, float(moves[2, 3]))
+    height, angle, (aside_x, aside_y) = _to_plane(lens, space, z, float(moves[2, 3]))
     out, turn = np.sqrt(random.random(len(place))), 2.0 * np.pi * random.random(len(place))
     around = 2.0 * np.pi * random.random(len(place))
     # The map from landing points to slopes is a shear at fixed height, so the density of slopes stays uniform.
     slope = 1.0 / angle if abs(angle) > 1e-9 * abs(z - moves[2, 3]) else 1.0
+    # Phases that deflect light, such as gratings, move the landing points aside.
+    centre_x, centre_y = centre_x - aside_x, centre_y - aside_y
     # Rays through the aperture of a curved stop cross the plane at its vertex slightly further out.
     radius = rim * (1.0 + depth * abs(height * slope)) + depth * (place + np.hypot(centre_x, centre_y)) * abs(slope)
     x, y = radius * out * np.cos(turn), radius * out * np.sin(turn)
@@ -222,7 +225,8 @@ def _starts(plane: tuple[Array, Array, float], slopes: tuple[Array, Array], back
 
 def _object_side(through: CameraTables, space: int, rays: Array, colour: int) -> Array:
     """Return point and direction in object space, camera frame, and transmittance, (n, 7), of stop rays."""
-    camera = _camera_of_faces(through, 0, space)
+    # The rays go against the light.
+    camera = carrying(_camera_of_faces(through, 0, space), importance=True)
     ends = follow_route(camera, image_route(space, False), rays, (LENS_AGAIN, LENS_AGAIN + 1), colour)
     passes = (ends[RAY_ENDED] == 0.0) & (ends[5] < 0.0)
     return np.vstack([ends[:3], _unit(ends[3:6]), np.where(passes, ends[RAY_WEIGHT], 0.0)]).T
@@ -286,20 +290,23 @@ def _land_behind(rays: Array, cover: CoverPlate, colour: int) -> None:
     rays[:, :2] += (in_glass - (cover.thickness - cover.nearer)) * slopes
 
 
-def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[float, float]:
+def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[float, float, Array]:
     """Return the first-order coefficients of the height at a plane behind the lens.
 
-    The height there is the first coefficient times the height at z in the space, plus the second times the slope.
+    The height there is the first coefficient times the height at z in the space, plus the second times the slope, plus
+    the third, in x and y, (2,) mm, by phases that deflect light.
     """
-    surfaces, indices = lens.surfaces, lens.media.indices[lens.medium, lens.media.indices.shape[1] // 2]
-    heights, slopes = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    colour = lens.media.indices.shape[1] // 2
+    surfaces, indices = lens.surfaces, lens.media.indices[lens.medium, colour]
+    heights, slopes = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0, 0.0])
     for k in range(space, len(surfaces)):
         heights = heights + (float(surfaces[k]["vertex_z"]) - z) * slopes
         z = float(surfaces[k]["vertex_z"])
-        power = (indices[k + 1] - indices[k]) * surfaces[k]["curvature"] + thin_lens_power(lens.interfaces, k)
-        slopes = (indices[k] * slopes - power * heights) / indices[k + 1]
+        power, deflection_x, deflection_y = first_order(lens.interfaces, k, colour)
+        power += (indices[k + 1] - indices[k]) * surfaces[k]["curvature"] + thin_lens_power(lens.interfaces, k)
+        slopes = (indices[k] * slopes - power * heights + [0.0, 0.0, deflection_x, deflection_y]) / indices[k + 1]
     heights = heights + (plane_z - z) * slopes
-    return float(heights[0]), float(heights[1])
+    return float(heights[0]), float(heights[1]), heights[2:]
 
 
 def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:

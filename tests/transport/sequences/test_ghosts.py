@@ -27,7 +27,7 @@ from lfmesh.transport.sources.pixels import PixelSource
 from tests.instances import instances
 
 LEVEL = 1e-3
-COMPARISONS = 41
+COMPARISONS = 43
 REPLICATES = 16
 
 MLA = {"count": [12, 12], "pitch_mm": 0.2, "focal_length_mm": 1.0, "index": 1.5, "thickness_mm": 0.4}
@@ -61,6 +61,8 @@ PLANE_FACE = with_first(lens(4), radius_mm=np.inf)
 CYLINDERS = "a coated array with crossed cylinders on its faces, tilted"
 ABSORBING_CYLINDERS = "a coated array that absorbs, with crossed cylinders on its faces, tilted"
 """Both of two other cameras, whose kernels nothing else needs and compile for a minute."""
+
+PHASES = "phases on lens and array"
 
 CAMERAS: dict[str, dict[str, Any]] = {
     "one": {"lens": lens(0)},
@@ -103,11 +105,15 @@ CAMERAS: dict[str, dict[str, Any]] = {
         "cover": {"thickness_mm": 0.1, "gap_mm": 0.05, "index": 1.7, "coating": "sun"},
     },
     "paths that end early": {"lens": lens(12), "reflectance": 0.2, "max_events": 12},
+    PHASES: {
+        "lens": with_first(lens(16), phase={"kind": "radial", "coefficients_rad": [-500.0], "radius_mm": 7.0}),
+        "mla": MLA | {"curved_phase": {"kind": "radial", "coefficients_rad": [-5.0], "radius_mm": 0.1}},
+    },
 }  # fmt: skip
 
 LONG = [
     "one", "three", "a plane face", "a coated surface", "a cover alone", "a sensor that reflects, behind an array",
-    CYLINDERS, ABSORBING_CYLINDERS,
+    CYLINDERS, ABSORBING_CYLINDERS, PHASES,
     "glass that absorbs, in lens and array",
 ]  # fmt: skip
 """Their parts are in the others together, or compared ray by ray with those of the meshes."""

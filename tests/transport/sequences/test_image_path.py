@@ -59,6 +59,10 @@ PLANE = lf.Target(
 )
 ERRORS = lf.ArrayForm(decenter_mm=0.004, radius_error=0.05, pitch_error=0.003, seed=2)
 TILTED = lf.Pose(shift_mm=(0.1, -0.2, 0.05), tilt_deg=(1.0, -1.5, 4.0))
+RADIAL = {"kind": "radial", "coefficients_rad": [-800.0, 60.0], "radius_mm": 9.0}
+LINES = {"kind": "grating", "lines_per_mm": 40.0, "direction_deg": 30.0}
+IN_CELL = {"kind": "radial", "coefficients_rad": [-8.0, 0.5], "radius_mm": 0.0625}
+METALENS = {"kind": "metalens", "focal_length_mm": 0.5, "design_nm": 587.6}
 SCENES = {
     "spheres": scene(lens()),
     "conics": scene(lens(conic=-1.7)),
@@ -80,6 +84,20 @@ SCENES = {
         absorption=True,
     ),
     "all tilted": scene(lens(), array(layout="hexagonal", pose=TILTED), sensor={"pose": TILTED}),
+    "a phase on a sphere": scene(lens(phase=RADIAL)),
+    "a phase on an asphere, tilted": scene(lens(phase=RADIAL | {"order": -1}, asphere_mm=(2e-6,))).changed(
+        {"camera.lens.elements": [{"surfaces": [0, 1], "pose": {"tilt_deg": [2.0, -3.0, 1.0]}}]}
+    ),
+    "a grating on the lens, and phases on both faces of the array": scene(
+        lens(phase=LINES), array(layout="hexagonal", curved_phase=IN_CELL, flat_phase=IN_CELL, form=ERRORS)
+    ),
+    "a metalens array": scene(lens(), array(focal_length_mm=None, curved_phase=METALENS)),
+    "a metalens array towards the sensor, tilted": scene(
+        lens(), array(focal_length_mm=None, curved_phase=METALENS, curved_side="sensor", pose=TILTED)
+    ),
+    "phases under coatings that absorb": scene(
+        lens(coating="sun", phase=RADIAL), array(curved_coating="sun", flat_coating="dim", curved_phase=IN_CELL)
+    ),
 }
 
 

@@ -28,6 +28,7 @@ from lfmesh.transport.aims.pupil import (
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.sequences.stop_rays import CameraTables, CoverPlate
 from lfmesh.transport.tables.lines import Lines
+from lfmesh.transport.tables.phase_faces import is_revolved_by_phase, spreads_light
 from lfmesh.transport.tables.tables import (
     AimTables,
     Camera,
@@ -128,7 +129,7 @@ def aim_table(scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, 
     """
     lens, mla, sensor, moves = camera.lens, camera.mla, camera.sensor, camera.frames
     through = CameraTables(lens, mla, sensor, moves, _cover_of(scene))
-    if lens.interfaces.rough or mla.interfaces.rough:
+    if spreads_light(lens.interfaces) or spreads_light(mla.interfaces):
         return Unproven(_anywhere(scene, camera, shapes), through, None, None, fits=False)
     seen = _points_of(shapes)
     behind = _sensor_corners(scene, moves)
@@ -145,7 +146,8 @@ def aim_table(scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, 
         # Rays from near points go everywhere; rays from glass are aimed only at a disk.
         front_radius = widest_disk(lens, seen, front=True, nearest=near.depth)
     from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True, near=near)
-    posed = has_poses(lens) or not all(map(is_revolved, lens.surfaces))
+    revolved = all(map(is_revolved, lens.surfaces)) and is_revolved_by_phase(lens.interfaces)
+    posed = has_poses(lens) or not revolved
     entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True, near=near)
     if near is not None and disks is not None:
         entrance = entrance._replace(near=disks, near_depth=near.depth)

@@ -34,6 +34,7 @@ from lfmesh.transport.sequences.ghosts import (
 )
 from lfmesh.transport.sequences.ray_tables import faces_of
 from lfmesh.transport.sequences.sequences import ARRAY_LEG, LENS_LEG, Faces, Itinerary
+from lfmesh.transport.tables.phase_faces import spreads_light
 from lfmesh.transport.tables.tables import AimTables, Tables
 
 Array = NDArray[np.float64]
@@ -73,8 +74,8 @@ _kept: Kept[tuple[GhostTables, CoarseTrace] | None] = Kept()
 def ghost_tables(tables: Tables, boxes: Array | None, max_events: int) -> GhostTables | None:
     """Return the sampling tables of ghosts; None if ghosts are not followed by sequence.
 
-    That is so if a lens surface is thin, rough, met by its mesh, or not a conic or even asphere, and if no sequence
-    allowed by `max_events` carries light.
+    That is so if a lens surface is thin, rough, met by its mesh, or not a conic or even asphere, if a phase has several
+    orders, and if no sequence allowed by `max_events` carries light.
 
     Parameters
     ----------
@@ -96,7 +97,12 @@ def _traced(tables: Tables, max_events: int) -> tuple[GhostTables, CoarseTrace] 
     """Return a camera's sequences without probabilities, and their coarse trace; None as for `ghost_tables`."""
     lens = tables.lens
     known = (lens.surfaces["level"] == EXACT) & (lens.surfaces["kind"] == CONIC_AND_EVEN)
-    if not known.all() or lens.interfaces.thin or lens.interfaces.rough:
+    if (
+        not known.all()
+        or lens.interfaces.thin
+        or spreads_light(lens.interfaces)
+        or spreads_light(tables.mla.interfaces)
+    ):
         return None
     of = faces_of(tables)
     image_path, *twice = of.paths()

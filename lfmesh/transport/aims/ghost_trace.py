@@ -14,6 +14,7 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAM
 from lfmesh.transport.sequences.follower import RAY_ENDED, RAY_WEIGHT
 from lfmesh.transport.sequences.ghosts import ANGLES, HEIGHTS, RADII, SINES, GhostTables
 from lfmesh.transport.sequences.ray_tables import follow_route
+from lfmesh.transport.tables.phase_faces import carrying
 from lfmesh.transport.tables.tables import Tables
 
 Array = NDArray[np.float64]
@@ -187,7 +188,7 @@ def _starts(p: Array, d: Array) -> Array:
 def _follow(tables: Tables, ghosts: GhostTables, rays: Array, first: int, last: int) -> Array:
     """Return the ends of rays along legs of the sequences, see `follow_rays`."""
     colour = tables.lens.media.indices.shape[1] // 2
-    return follow_route(tables.camera, ghosts.route, rays, (first, last), colour)
+    return follow_route(carrying(tables.camera, importance=True), ghosts.route, rays, (first, last), colour)
 
 
 def _rays(ghosts: GhostTables) -> tuple[Array, Array]:

@@ -16,10 +16,16 @@ from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aims.lenslet_aim import pixel_extent
-from lfmesh.transport.aims.plate_view import NOTHING_SEEN, refract_if_possible, views_through_plate
+from lfmesh.transport.aims.plate_view import (
+    NOTHING_SEEN,
+    bent_at_lenslet,
+    refract_if_possible,
+    views_through_plate,
+)
 from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.media import with_media
+from lfmesh.transport.tables.phase_faces import at_colours, first_order
 from lfmesh.transport.tables.tables import AIR, LensletAim, MlaTables, Opening, SensorTables
 
 ZONES = 2
@@ -97,9 +103,10 @@ def aim_through_lenslets(
 ) -> LensletAim:
     """Return the aim through lenslets, with each one's view of the exit pupil.
 
-    A ray from x through a lenslet's point c + u leaves it with slope (c + u − x)/d − φ (u − e), where e is the apex's
-    decentre. The opening lies at slope σ − κ u from there. So, seen from the lenslet's centre, it is off (c − x)/d by
-    φ e − σ, with a blur of |κ + 1/d − φ| |u| and of the lenslet's aberrations, which real rays measure.
+    A ray from x through a lenslet's point c + u leaves it with slope (c + u − x)/d − φ (u − e) + g, where e is the
+    apex's decentre and g the deflection by a phase such as a grating. The opening lies at slope σ − κ u from there. So,
+    seen from the lenslet's centre, it is off (c − x)/d by φ e + g − σ, with a blur of |κ + 1/d − φ| |u| and of the
+    lenslet's aberrations, which real rays measure.
 
     Parameters
     ----------
@@ -133,8 +140,9 @@ def aim_through_lenslets(
         views_through_plate(few, opening, moves, sensor_z, slope, slope_radius)
         slope_radius = VIEW_MARGIN * slope_radius
     else:
+        by_phase = first_order(few.interfaces, few.row, few.media.indices.shape[1] // 2)
         _view_through_cells(
-            few, opening, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius
+            few, opening, moves, lens_z, sensor_z, glass - 1.0, by_phase, lattice.corners(), slope, slope_radius
         )  # fmt: skip
     seen = slope_radius > 0.0
     # Lenslets that show nothing look along chief rays, in case rays from the stop still come through them.
@@ -155,10 +163,19 @@ def aim_through_lenslets(
 
 def _at_few_indices(mla: MlaTables) -> MlaTables:
     """Return the array's tables at few wavelengths, including the extreme indices of the lenslets to the outside."""
-    indices = np.unique(mla.media.indices[mla.medium] / mla.media.indices[AIR])
+    indices, colours = np.unique(mla.media.indices[mla.medium] / mla.media.indices[AIR], return_index=True)
+    if mla.interfaces.phases is not None:
+        # A phase depends on the wavelength even if the index does not.
+        colours = np.arange(mla.media.indices.shape[1])
+        indices = mla.media.indices[mla.medium] / mla.media.indices[AIR]
     if len(indices) > MOST_INDICES:
-        indices = indices[np.linspace(0, len(indices) - 1, MOST_INDICES).round().astype(np.int64)]
-    return with_media(mla, mla.media._replace(indices=indices[None], absorption=None), medium=0)
+        some = np.linspace(0, len(indices) - 1, MOST_INDICES).round().astype(np.int64)
+        indices, colours = indices[some], colours[some]
+    phases = at_colours(mla.interfaces.phases, colours, mla.media.indices[AIR, colours])
+    return with_media(
+        mla, mla.media._replace(indices=indices[None], absorption=None), medium=0,
+        interfaces=mla.interfaces._replace(phases=phases),
+    )  # fmt: skip
 
 
 def _off_by_facets(mla: MlaTables) -> float:
@@ -248,7 +265,7 @@ def with_wider_cells(aim: LensletAim, mla: MlaTables, by: float) -> LensletAim:
 @kernel
 def _view_through_cells(
     mla: MlaTables, opening: Opening, moves: Array, lens_z: float, sensor_z: float, power_of_curvature: float,
-    corners: Array, slope: Array, slope_radius: Array,
+    by_phase: tuple[float, float, float], corners: Array, slope: Array, slope_radius: Array,
 ) -> None:  # fmt: skip
     """Measure every lenslet's view of the opening by real rays.
 
@@ -256,6 +273,8 @@ def _view_through_cells(
 
     Parameters
     ----------
+    by_phase : (3,) float
+        Power, 1/mm, and deflection in x and y by a phase of the lenslets.
     slope : (cells, 2) float64
         Filled with a lenslet's slope to the opening's centre (array frame, away from the sensor).
     slope_radius : (cells,) float64
@@ -278,6 +297,7 @@ def _view_through_cells(
             power = power_of_curvature * curvature
             bends_x, bends_y = _bends_along(lenslets.profile)
             sx, sy = sx - bends_x * power * ex, sy - bends_y * power * ey
+            sx, sy = sx - by_phase[0] * ex - by_phase[1], sy - by_phase[0] * ey - by_phase[2]
             furthest = 0.0
             for point in range(1 + ZONES * len(corners)):
                 zone, corner = (point + len(corners) - 1) // len(corners) / ZONES, point % len(corners)
@@ -338,7 +358,7 @@ def _farthest_landing(
             dx, dy, dz = px - ox - radius * hx, py - oy - radius * hy, pz - opening.plane_z
             dx, dy, dz = frame.move_direction(moves, CAMERA_FRAME, MLA_FRAME, dx, dy, dz)
             through, at_x, at_y, at_z, dx, dy, dz = _through_lenslet(
-                mla.lenslets.thickness, normal, glass, to_sensor, sag, x, y, dx, dy, dz
+                mla, colour, (ux, uy), normal, glass, to_sensor, sag, x, y, dx, dy, dz
             )
             if not through:
                 continue
@@ -351,20 +371,21 @@ def _farthest_landing(
 
 @inlined
 def _through_lenslet(
-    thickness: float, normal: tuple[float, float, float], glass: float, to_sensor: float, sag: float,
-    x: float, y: float, dx: float, dy: float, dz: float,
+    mla: MlaTables, colour: int, u: tuple[float, float], normal: tuple[float, float, float], glass: float,
+    to_sensor: float, sag: float, x: float, y: float, dx: float, dy: float, dz: float,
 ) -> tuple[bool, float, float, float, float, float, float]:  # fmt: skip
     """Trace a ray through a lenslet's point; return whether it gets through, its exit point and direction."""
+    thickness, phases = mla.lenslets.thickness, mla.interfaces.phases
     scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx * scale, dy * scale, dz * scale
     nx, ny, nz = normal[0] * to_sensor, normal[1] * to_sensor, normal[2] * to_sensor
     if to_sensor > 0.0:
-        one, dx, dy, dz = refract_if_possible(dx, dy, dz, nx, ny, nz, 1.0 / glass)
+        one, dx, dy, dz = bent_at_lenslet(phases, mla.row, colour, u, (1.0, glass), (dx, dy, dz), (nx, ny, nz))
         t = (thickness - sag) / dz
         other, ex, ey, ez = refract_if_possible(dx, dy, dz, 0.0, 0.0, to_sensor, glass)
         return one and other, x + t * dx, y + t * dy, thickness, ex, ey, ez
     one, dx, dy, dz = refract_if_possible(dx, dy, dz, 0.0, 0.0, to_sensor, 1.0 / glass)
-    other, dx, dy, dz = refract_if_possible(dx, dy, dz, nx, ny, nz, glass)
+    other, dx, dy, dz = bent_at_lenslet(phases, mla.row, colour, u, (glass, 1.0), (dx, dy, dz), (nx, ny, nz))
     return one and other, x, y, sag, dx, dy, dz
 
 

@@ -4,6 +4,8 @@ Rays go from the opening through every lenslet on the lens side to a lenslet on 
 one. The bounding box of the rays' slopes at the latter gives the middle of its view, the farthest ray the radius.
 """
 
+from typing import Any
+
 import numpy as np
 
 from lfmesh.geometry import frame
@@ -11,10 +13,13 @@ from lfmesh.geometry.array.lattice import cell_of, centre, is_inside
 from lfmesh.geometry.array.lenslets import face_normal, face_sag, shape_of, type_of
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.optics.phase_law import diffracted
 from lfmesh.transport.aims.lenslet_faces import on_lenslet
 from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.events.crossing import refracted
+from lfmesh.transport.events.phase import momentum_change
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.phase_faces import FIRST_TRANSMITTED
 from lfmesh.transport.tables.tables import MlaTables, Opening
 
 ZONES = 2
@@ -118,7 +123,10 @@ def _slope_through(
     dx, dy, dz = frame.move_direction(moves, CAMERA_FRAME, BACK_FRAME, px - ox, py - oy, pz - opening.plane_z)
     scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
     glass = mla.media.indices[mla.medium, colour]
-    passes, dx, dy, dz = refract_if_possible(dx * scale, dy * scale, dz * scale, nx, ny, nz, 1.0 / glass)
+    passes, dx, dy, dz = bent_at_lenslet(
+        back.interfaces.phases, back.row, colour, (ux, uy), (1.0, glass), (dx * scale, dy * scale, dz * scale),
+        (nx, ny, nz),
+    )  # fmt: skip
     if not passes:
         return -1, 0.0, 0.0
     px, py, pz = frame.move_point(moves, BACK_FRAME, MLA_FRAME, x, y, z)
@@ -139,7 +147,9 @@ def _slope_through(
         return -1, 0.0, 0.0
     z = face_sag(lenslets, own_column, own_row, curvature, ux, uy)
     nx, ny, nz = face_normal(lenslets, own_column, own_row, curvature, ux, uy, z)
-    passes, dx, dy, dz = refract_if_possible(dx, dy, dz, -nx, -ny, -nz, glass)
+    passes, dx, dy, dz = bent_at_lenslet(
+        mla.interfaces.phases, mla.row, colour, (ux, uy), (glass, 1.0), (dx, dy, dz), (-nx, -ny, -nz)
+    )
     if not passes:
         return -1, 0.0, 0.0
     px, py = ux + cx + ex, uy + cy + ey
@@ -171,3 +181,33 @@ def refract_if_possible(
         return False, dx, dy, dz
     ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, eta, cos_i, np.sqrt(cos2_t))
     return True, ux, uy, uz
+
+
+@inlined
+def bent_at_lenslet(
+    phases: Any, row: int, colour: int, place: tuple[float, float], indices: tuple[float, float],
+    d: tuple[float, float, float], n: tuple[float, float, float],
+) -> tuple[bool, float, float, float]:  # fmt: skip
+    """Return whether a lenslet's face lets a ray through, in the main order of its phase if any, and the direction.
+
+    Parameters
+    ----------
+    phases : PhaseFaces or None
+        Phases of the array.
+    row, colour : int
+        Row of the face, and number of the wavelength.
+    place : (2,) float, mm
+        Point of the face, relative to its apex.
+    indices : (2,) float
+        Refractive indices before and after the face, relative to the medium outside.
+    d, n : (3,) float
+        Unit direction, and unit normal along the ray.
+    """
+    if phases is None:
+        return refract_if_possible(d[0], d[1], d[2], n[0], n[1], n[2], indices[0] / indices[1])
+    if phases.number[row] < 0:
+        return refract_if_possible(d[0], d[1], d[2], n[0], n[1], n[2], indices[0] / indices[1])
+    order = phases.order[phases.first[row, FIRST_TRANSMITTED]]
+    gx, gy = momentum_change(phases, row, colour, place[0], place[1])
+    passes, _, dx, dy, dz = diffracted(indices[0], indices[1], d, n, order * gx, order * gy, False)
+    return passes and d[0] * n[0] + d[1] * n[1] + d[2] * n[2] > 0.0, dx, dy, dz

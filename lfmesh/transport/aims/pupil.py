@@ -35,6 +35,7 @@ from lfmesh.transport.sequences.bundle import (
 )
 from lfmesh.transport.sequences.lens_surfaces import at_surface
 from lfmesh.transport.sequences.ray_tables import unread_book
+from lfmesh.transport.tables.phase_faces import weighing
 from lfmesh.transport.tables.tables import Disks, LensTables, Opening
 
 Array = NDArray[np.float64]
@@ -375,13 +376,15 @@ def _obstruction(seen: Viewpoints, lens: LensTables, height: Array, distance: Ar
     unbounded = lens.surfaces.copy()
     unbounded["semi_diameter"] = np.inf
     rims = np.ascontiguousarray(lens.surfaces["semi_diameter"])
+    # Rays from behind the lens go against the light.
+    interfaces = weighing(lens.interfaces, importance=not seen.to_sensor)
     room, book = empty_bundle(ROWS + 1), unread_book(lens)
     least = np.full(x.size, np.inf)
     colours = lens.media.indices.shape[1]
     for colour in sorted({0, colours // 2, colours - 1}):
         _trace_unbounded(
             heights, distances, np.ascontiguousarray(x).reshape(-1), np.ascontiguousarray(y).reshape(-1), seen.plane_z,
-            seen.to_sensor, lens._replace(surfaces=unbounded), rims, colour, room, book, least,
+            seen.to_sensor, lens._replace(surfaces=unbounded, interfaces=interfaces), rims, colour, room, book, least,
         )  # fmt: skip
     return least.reshape(x.shape)
 

@@ -145,7 +145,8 @@ def proven_aim(
 ) -> tuple[AimTables, AimProof | None]:
     """Return the aim tables of a scene, and their proof by rays from the stop.
 
-    The proof is None if the lens is not exact, a surface scatters light, or no ray arrives at the sensor.
+    The proof is None if the lens is not exact, a surface scatters light or sends it into several orders, or no ray
+    arrives at the sensor.
 
     Parameters
     ----------

@@ -16,6 +16,7 @@ from lfmesh.transport.checks.found import few_hits_share, lit_pixels
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.certainty import typical_over_rms
 from lfmesh.transport.render.image import Image
+from lfmesh.transport.tables.phase_faces import has_orders, lost_orders
 from lfmesh.transport.tables.spectra import reflectance_at
 
 DARK_SHARE = 0.1
@@ -170,6 +171,8 @@ def _aim(image: Image) -> list[str]:
         return []
     if image.scene.rough_in_camera():
         return ["Rays go to the whole lens, because surfaces of the camera scatter light."]
+    if has_orders(image.scene):
+        return ["Rays go to the whole lens, because a phase of the camera has several orders."]
     if proof is None and image.scene.camera.lens.has_meshes:
         return ["The aim is not proven."]
     if proof is None:
@@ -358,6 +361,8 @@ def _ended(name: str, scene: Scene) -> str:
         return f"was absorbed by the {name}"
     if name.startswith("inside "):
         return f"was absorbed {name}"
+    if name.startswith(lost_orders("")):
+        return f"was lost in the {name}"
     return f"ended on {name}" if name.startswith(("targets[", "media[", "lens[")) else f"ended on the {name}"
 
 

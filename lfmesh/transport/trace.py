@@ -30,6 +30,7 @@ from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.lens import with_diffraction
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import index2_behind_lens, with_media
+from lfmesh.transport.tables.phase_faces import has_phases
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.tables import ABSORBING, Media, Records, Tables
 from lfmesh.transport.tables.volumes import volumes_at
@@ -190,6 +191,8 @@ def _options(
         raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
     if level not in SURFACE_LEVEL:
         raise LfmeshError(f"surface = {level!r}: use one of {', '.join(SURFACE_LEVEL)}")
+    if level != "exact" and has_phases(world.scene):
+        raise LfmeshError(f'surface = {level!r}: phases of the camera need exact surfaces; use "exact"')
     if not 1 <= depth <= MOST_EVENTS:
         raise LfmeshError(f"max_events = {shown(depth)}: must be from 1 to {MOST_EVENTS}")
     if not 0.0 <= cutoff <= 1.0:
@@ -386,9 +389,16 @@ class _Call(NamedTuple):
 
 
 def _absorbs(tables: Tables) -> bool:
-    """Tell whether lens or array absorb: the power of a ray traced twice would then be entered twice."""
-    parts = tables.lens, tables.mla
-    return any(part.media.absorption is not None or (part.interfaces.rows["kind"] == ABSORBING).any() for part in parts)
+    """Tell whether lens or array absorb light, or lose it in orders of phases.
+
+    The power of a ray traced twice would then be entered twice.
+    """
+    return any(
+        part.media.absorption is not None
+        or part.interfaces.phases is not None
+        or (part.interfaces.rows["kind"] == ABSORBING).any()
+        for part in (tables.lens, tables.mla)
+    )
 
 
 def _as_packets(call: _Call, p: NDArray[np.float64], d: NDArray[np.float64]) -> Paths:

@@ -34,6 +34,7 @@ from lfmesh.transport.checks.tails import SIDE, tails
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import ROWS_AT_ONCE
 from lfmesh.transport.render.certainty import FEW_HITS, neighbours, weight_around
+from lfmesh.transport.tables.phase_faces import has_orders
 
 if TYPE_CHECKING:
     from lfmesh.transport.render.image import Image
@@ -137,7 +138,8 @@ def given_up(scene: Scene, ledger: Ledger, cut: float = CUT_SHARE) -> list[Pictu
 
 
 def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
-    if scene.rough_in_camera():
+    if scene.rough_in_camera() or has_orders(scene):
+        # Rays go anywhere.
         return
     if proof is None:
         meshes = scene.camera.lens.has_meshes

@@ -47,6 +47,7 @@ from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.tables.lines import FIRST
+from lfmesh.transport.tables.phase_faces import has_phases
 from lfmesh.transport.world import World
 
 ON_IMAGE_PATH = ((OBJECTS, False), (LENS, True))
@@ -112,8 +113,9 @@ class Ahead:
         cached = any(map(is_cached, kernels))
         self._report = None if cached else report
         self._say()
-        # Polarised and diffracted light has other kernels, and few scenes have it.
-        usual = not scene.transport.polarisation and scene.transport.diffraction == "none"
+        # Polarised and diffracted light and phases have other kernels, and few scenes have them.
+        plain = not scene.transport.polarisation and scene.transport.diffraction == "none"
+        usual = plain and not has_phases(scene)
         if processors() > 1 and usual and not cached:
             stations = ON_IMAGE_PATH if alone else EVERYWHERE
             glass = len(scene.bodies()) > 0

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.geometry.lens.main_order import lens_phases, refuse_several_orders
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.literals import percent
@@ -29,6 +30,7 @@ from lfmesh.transport.sequences.ray_tables import (
 from lfmesh.transport.sequences.sequences import LENS_LEG, Leg, image_path
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
+from lfmesh.waves.phase_path import phase_path_mm
 from lfmesh.waves.stop_aim import INSIDE, Edge, Ends, Sent, StopAim
 
 Array = NDArray[np.float64]
@@ -105,7 +107,7 @@ class Traced(NamedTuple):
     path_mm : (n,) float64
         Optical path from the object point to `position`, less that to the origin; for parallel bundles, from the
         perpendicular plane through the origin. Behind ideal lenses, with equal paths from point to image, less a common
-        constant.
+        constant. At a diffractive face the path grows by m λ Φ / 2π.
     heights : (n, faces) float64
         Distance from the axis at each refracting face, over its semi-diameter.
     index_behind : float
@@ -157,7 +159,7 @@ class LensRays:
     Attributes
     ----------
     world : World
-        Exact surfaces only.
+        Exact surfaces only, diffractive faces with one order each.
     object_mm : float
         Object distance before the first vertex; inf for parallel bundles.
     image_z_mm : float
@@ -172,6 +174,7 @@ class LensRays:
         shape = self.world.lens_shape
         if not (shape.analytic.all() and (shape.surfaces["level"] == EXACT).all()):
             raise LfmeshError('the lens has surfaces that are meshes: an analysis needs surface = "exact"')
+        refuse_several_orders(lens_phases(self.world.scene))
         if not self.object_mm > 0.0:
             raise LfmeshError(f"object distance = {self.object_mm} mm: must be above 0, or inf")
 
@@ -323,6 +326,7 @@ class LensRays:
         else:
             path = further_than(position, np.array([*(field * self.object_mm), -self.object_mm]))
         tables, shape = at_wavelength(self.world, wavelength_nm), self.world.lens_shape
+        glass = self.world.scene.camera.lens
         lens, route = without_apertures(tables.lens), route_of([Leg(LENS_LEG, (0,), (False,), True)], checked=False)
         media = [refractive_index(medium, wavelength_nm) for medium in shape.media]
         path = media[0] * path
@@ -332,7 +336,10 @@ class LensRays:
             arrived = follow_to(alone, route, position, direction)
             path = path + index * np.linalg.norm(arrived.position - position, axis=1)
             position, direction = arrived.position, arrived.direction
-            own = frames.points(frames.inverse(pose_of(self.world.scene.camera.lens, shape.numbers[face])), position)
+            own = frames.points(frames.inverse(pose_of(glass, shape.numbers[face])), position)
+            phase = glass.surfaces[shape.numbers[face]].phase
+            if phase is not None:
+                path = path + phase_path_mm(phase, own[:, :2], wavelength_nm)
             heights[:, face] = np.hypot(own[:, 0], own[:, 1]) / shape.surfaces["semi_diameter"][face]
         if self._is_ideal:
             path = media[-1] * ((position - nearest_to_all(position, direction)) * direction).sum(axis=1)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +11,13 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.array.lattice import cell_of, is_inside
 from lfmesh.geometry.array.lenslets import Lenslets
-from lfmesh.geometry.array.relief import CELLS, SUMS, fill_relief
+from lfmesh.geometry.array.relief import CELLS, SUMS, FacePhase, fill_relief
 from lfmesh.optics.coatings import Stack, coated
-from lfmesh.optics.glass import absorption_per_mm, refractive_index
+from lfmesh.optics.glass import Medium, absorption_per_mm, refractive_index
+from lfmesh.optics.phase_profiles import phase_table
 from lfmesh.optics.share_table import looked_up
 from lfmesh.scene import Scene
+from lfmesh.scene.camera.phase import AnyPhase
 from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.coatings import coating_table
@@ -34,6 +37,31 @@ GRAZING = 0.05
 """Approximate least cosine between light and a lenslet's face for transmission."""
 
 
+class Relief(NamedTuple):
+    """Relief of a face at points of an even grid, camera frame.
+
+    Attributes
+    ----------
+    height : (n, n) float64, mm
+    slope : (2, n, n) float64
+    share : (n, n) complex128
+        Mean over each cell of the transmitted wave, over that of a clear cell with this height and phase.
+    clear : (n, n) float64
+        Unobstructed fraction of each cell.
+    phase : (n, n) float64, rad, or None
+        Of a diffractive face.
+    steepness : (2, n, n) float64, rad/mm, or None
+        Gradient of the phase.
+    """
+
+    height: Array
+    slope: Array
+    share: Waves
+    clear: Array
+    phase: Array | None
+    steepness: Array | None
+
+
 @dataclass(frozen=True, eq=False)
 class WaveFace:
     """A face square to the axis.
@@ -49,9 +77,13 @@ class WaveFace:
     absorption_per_mm : float
         Of the medium behind.
     lenslets : Lenslets, optional
-        Lenslets on the face.
+        Lenslets on the face; flat ones on a flat diffractive face.
     frame : (3, 4) float64
         Transformation from camera to lenslets.
+    phase : FacePhase, optional
+        Phase of a diffractive face.
+    order_share : float
+        Fraction of the transmitted light in the order of the phase.
     """
 
     z_mm: float
@@ -60,6 +92,8 @@ class WaveFace:
     absorption_per_mm: float
     lenslets: Lenslets | None
     frame: Array
+    phase: FacePhase | None = None
+    order_share: float = 1.0
 
     def passed(self, light: Spectrum, scene: Scene, told: Callable[[float], None]) -> Spectrum:
         """Return the light behind the face.
@@ -80,28 +114,40 @@ class WaveFace:
             return light.through_plane(np.interp(np.hypot(px[None, :], py[:, None]), sines, amplitude), self.index)
         x, y = light.at_mm[0] + grid.places, light.at_mm[1] + grid.places
         per_mm = 2.0 * np.pi / grid.wavelength_mm * (grid.middle_z(light.index) - grid.middle_z(self.index))
-        height, slope, share, clear = self._relief(self.lenslets, x, y, per_mm)
+        relief = self._relief(self.lenslets, x, y, per_mm)
+        height, slope, share, clear = relief[:4]
         # Kinks at borders have waves outside the grid's directions. The height is averaged over a cell, less the effect
         # of averaging on waves within the grid. This removes the kinks' waves to the second order of the grid's step.
         # At steps between lenslets, the slopes represent only the kink.
         lit = clear > 0.0
         bend = _central_difference(slope[0], lit, 1) + _central_difference(slope[1], lit, 0)
         height = height - grid.step_mm / 24.0 * bend
-        share = _sharpened(share, per_mm * height, per_mm * grid.step_mm * slope)
+        phase, change = per_mm * height, per_mm * grid.step_mm * slope
+        turn = None
+        if relief.phase is None or relief.steepness is None:
+            share = _sharpened(share, phase, change)
+        else:
+            # The phase of the face has the same kinks at borders.
+            by_x, by_y = relief.steepness
+            bend = _central_difference(by_x, lit, 1) + _central_difference(by_y, lit, 0)
+            own = relief.phase - grid.step_mm / 24.0 * bend
+            share = _sharpened(share, phase + own, change + grid.step_mm * relief.steepness) * np.exp(1j * own)
+            turn = grid.wavelength_mm / (2.0 * np.pi) * relief.steepness
         # The transmittance of a point depends on direction. It is expanded to first order: out of focus, the direction
         # of light varies with position.
         steps = np.diag(light.spread)
-        through, aslant = self._passed_at(slope, light.index, grid.middle, sines, amplitude)
+        table = sines, amplitude
+        through, aslant = self._passed_at(slope, turn, light.index, grid.middle, table)
         passed = [through]
         for step in steps:
             more, less = (
-                self._passed_at(slope, light.index, grid.middle + way, sines, amplitude)[0] for way in (step, -step)
+                self._passed_at(slope, turn, light.index, grid.middle + way, table)[0] for way in (step, -step)
             )
             passed.append((more - less) / (2.0 * step.sum()))
         return light.through_relief(height, share, clear / aslant, passed, self.index, told)
 
     def _passed_at(
-        self, slope: Array, index: float, direction: Array, sines: Array, amplitude: Array
+        self, slope: Array, turn: Array | None, index: float, direction: Array, table: tuple[Array, Array]
     ) -> tuple[Array, Array]:
         """Return the amplitude that each point of the relief transmits of one direction, (n, n).
 
@@ -111,35 +157,54 @@ class WaveFace:
         ----------
         slope : (2, n, n) float64
             Of the face.
+        turn : (2, n, n) float64, optional
+            Change of the optical direction cosines by a diffractive face, of which the tangential part counts.
         index : float
             Of the medium before it.
         direction : (2,) float64
             Optical direction cosines of the incident light.
-        sines, amplitude : (angles,) float64
+        table : (angles,) float64, (angles,) float64
             See `_amplitudes`.
         """
         steep = np.sqrt(1.0 + (slope**2).sum(axis=0))
         along_z = math.sqrt(max(index * index - float(direction @ direction), GRAZING**2))
         onto = (along_z - direction[0] * slope[0] - direction[1] * slope[1]) / steep
         across = np.sqrt(np.maximum(index**2 - onto**2, 0.0))
-        behind = np.sqrt(np.maximum(self.index**2 - across**2, 0.0))
+        turned, normal = across, onto
+        if turn is not None:
+            px, py = direction[:, None, None] + turn
+            normal = (along_z - px * slope[0] - py * slope[1]) / steep
+            turned = np.sqrt(np.maximum(px * px + py * py + along_z * along_z - normal**2, 0.0))
+        behind = np.sqrt(np.maximum(self.index**2 - turned**2, 0.0))
         # Refraction changes the wave vector along the normal (−slope, 1) / steep.
-        pz = along_z + (behind - onto) / steep
+        pz = along_z + (behind - normal) / steep
         # Ratio of the flux through the tilted face to that through a plane, before and behind.
         aslant = np.maximum(behind, GRAZING) * steep / np.maximum(pz, GRAZING)
         flux = (onto * steep / along_z) * aslant
         clear = (onto > GRAZING) & (behind > GRAZING) & (pz > GRAZING)
-        return np.where(clear, np.sqrt(np.maximum(flux, 0.0)) * np.interp(across, sines, amplitude), 0.0), aslant
+        return np.where(clear, np.sqrt(np.maximum(flux, 0.0)) * np.interp(across, *table), 0.0), aslant
 
-    def reach_mm(self, places: Array) -> tuple[float, float]:
-        """Return the largest slope of the lenslets near points (n, 2), mm, and their pitch; 0, 0 for a plane."""
+    def turn(self, places: Array, index: float, wavelength_mm: float) -> tuple[float, float]:
+        """Return the largest change of direction cosines by lenslets, and their pitch; 0, 0 for a plane.
+
+        Parameters
+        ----------
+        places : (n, 2) float64, mm
+            Points of the face; the lenslets near them count.
+        index : float
+            Of the medium before the face.
+        wavelength_mm : float
+        """
         if self.lenslets is None:
             return 0.0, 0.0
         pitch = self.lenslets.lattice.pitch
         low, high = places.min(axis=0) - pitch, places.max(axis=0) + pitch
         x, y = (np.linspace(a, b, min(400, 8 + int(20 * (b - a) / pitch))) for a, b in zip(low, high, strict=True))
-        _, slope, *_ = self._relief(self.lenslets, x, y)
-        return float(np.abs(slope).max()), pitch
+        relief = self._relief(self.lenslets, x, y)
+        turned = (index - self.index) * relief.slope
+        if relief.steepness is not None:
+            turned = turned + wavelength_mm / (2.0 * np.pi) * relief.steepness
+        return float(np.abs(turned).max()), pitch
 
     def missed_by(self, places: Array) -> float:
         """Return the gap, mm, between the lenslets and the bounding box of points (n, 2); 0 if they meet."""
@@ -155,8 +220,8 @@ class WaveFace:
         cells = {cell_of(lattice, float(x), float(y)) for x, y in own}
         return sum(is_inside(lattice, *cell) for cell in cells)
 
-    def _relief(self, lenslets: Lenslets, x: Array, y: Array, per_mm: float = 0.0) -> tuple[Array, Array, Waves, Array]:
-        """Return height and slope of the lenslets (camera frame) on an even grid, and cell means of wave and power.
+    def _relief(self, lenslets: Lenslets, x: Array, y: Array, per_mm: float = 0.0) -> Relief:
+        """Return the relief of the lenslets on an even grid.
 
         Parameters
         ----------
@@ -167,14 +232,17 @@ class WaveFace:
         """
         xs, ys = (each.ravel() for each in np.meshgrid(x, y, indexing="xy"))
         turn, sense = self.frame[:2, :2], float(np.sign(self.frame[2, 2]))
-        own = turn @ np.stack([xs, ys]) + self.frame[:2, 3:]
-        relief, parts = np.zeros((6, len(xs))), np.zeros((CELLS, SUMS))
-        places = np.ascontiguousarray(own[0]), np.ascontiguousarray(own[1])
-        fill_relief(lenslets, *places, abs(x[1] - x[0]), sense * per_mm, parts, relief)
+        own = np.ascontiguousarray(turn @ np.stack([xs, ys]) + self.frame[:2, 3:])
+        relief, parts = np.zeros((6 if self.phase is None else 9, len(xs))), np.zeros((CELLS, SUMS))
+        fill_relief(lenslets, own, abs(x[1] - x[0]), sense * per_mm, self.phase, parts, relief)
         shape = len(y), len(x)
         slope = sense * (turn.T @ relief[1:3])
         share = (relief[3] + 1j * relief[4]).reshape(shape)
-        return sense * relief[0].reshape(shape), slope.reshape(2, *shape), share, relief[5].reshape(shape)
+        height, clear = sense * relief[0].reshape(shape), relief[5].reshape(shape)
+        if self.phase is None:
+            return Relief(height, slope.reshape(2, *shape), share, clear, None, None)
+        steepness = (turn.T @ relief[7:9]).reshape(2, *shape)
+        return Relief(height, slope.reshape(2, *shape), share, clear, relief[6].reshape(shape), steepness)
 
     def _amplitudes(self, light: Spectrum, scene: Scene) -> tuple[Array, Array]:
         """Return values of n sin θ, and the amplitude that the face transmits there, both (angles,)."""
@@ -191,7 +259,7 @@ class WaveFace:
             first = 2 * len(table.values) // 3 if table.absorbs else 0
             found = np.array([looked_up(table.values, first, table.pieces, 0, float(np.sqrt(c))) for c in cosines])
             share = found if table.absorbs else 1.0 - found
-        return sines, np.sqrt(share)
+        return sines, np.sqrt(self.order_share * share)
 
 
 def outside(places: Array, half: Array) -> float:
@@ -227,7 +295,10 @@ def faces_before_sensor(scene: Scene, tables: Tables, wavelength_nm: float) -> l
         for frame in (MLA_FRAME, BACK_FRAME):
             z = float(tables.frames[frame, CAMERA_FRAME][2, 3])
             shape, interface = lenslets.get(frame, (None, flat))
-            faces.append((z, interface, shape, tables.frames[CAMERA_FRAME, frame], mla.medium))
+            phase = mla.curved_phase if interface is curved else mla.flat_phase
+            if phase is not None and shape is None:
+                shape = _flattened(tables.mla.lenslets)
+            faces.append((z, interface, shape, tables.frames[CAMERA_FRAME, frame], mla.medium, phase))
     sensor_z = float(tables.frames[SENSOR_FRAME, CAMERA_FRAME][2, 3])
     _refuse_tilt(
         tables.frames[SENSOR_FRAME, CAMERA_FRAME],
@@ -237,15 +308,35 @@ def faces_before_sensor(scene: Scene, tables: Tables, wavelength_nm: float) -> l
     faces.sort(key=lambda face: face[0])
     if cover is not None:
         for interface, height in zip(cover_faces(scene), (cover.height_mm, cover.gap_mm), strict=True):
-            faces.append((sensor_z - height, interface, None, np.zeros((3, 4)), cover.medium))
+            faces.append((sensor_z - height, interface, None, np.zeros((3, 4)), cover.medium, None))
     found = []
     outside = scene.camera.medium_behind_lens
-    for number, (z, interface, shape, frame, medium) in enumerate(faces):
+    for number, (z, interface, shape, frame, medium, phase) in enumerate(faces):
         enters = number % 2 == 0
         taken = absorption_per_mm(medium, wavelength_nm) if enters and absorbs and isinstance(medium, str) else 0.0
         index = refractive_index(medium if enters else outside, wavelength_nm)
-        found.append(WaveFace(z, interface, index, taken, shape, frame))
+        diffracts = _order_of(phase, wavelength_nm, outside, medium)
+        found.append(WaveFace(z, interface, index, taken, shape, frame, *diffracts))
     return found
+
+
+def _flattened(lenslets: Lenslets) -> Lenslets:
+    """Return the cells of an array's flat face as flat lenslets."""
+    none = np.zeros(0)
+    return lenslets._replace(
+        curvature=np.zeros(1), decentre=np.zeros((0, 2)), stretch=none, top=0.0, valley=0.0, profile=None,
+        clear_radius=np.inf,
+    )  # fmt: skip
+
+
+def _order_of(
+    phase: AnyPhase | None, wavelength_nm: float, outside: Medium, medium: Medium
+) -> tuple[FacePhase | None, float]:
+    """Return the main order of a phase between two media, and the fraction of the transmitted light in it."""
+    if phase is None:
+        return None, 1.0
+    share = dict(phase.orders_of(wavelength_nm, outside, medium)).get(phase.main_order, 0.0)
+    return FacePhase(phase_table([phase.profile()]), 0, float(phase.main_order)), share
 
 
 def _central_difference(values: Array, given: NDArray[np.bool_], axis: int) -> Array:

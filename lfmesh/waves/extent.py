@@ -104,8 +104,8 @@ class Extent:
         cone = float(pupil.half.max())
         rings, added, turned, index = FIRST_RINGS * pupil.wavelength_mm / (2.0 * cone), 0.0, 0.0, pupil.index
         for face in self.faces:
-            steep, pitch = face.reach_mm(pupil.places_at(face.z_mm))
-            turn = abs(face.index - index) * steep + (4.0 * pupil.wavelength_mm / pitch if pitch else 0.0)
+            turn, pitch = face.turn(pupil.places_at(face.z_mm), index, pupil.wavelength_mm)
+            turn += 4.0 * pupil.wavelength_mm / pitch if pitch else 0.0
             added += pitch + turn * (sensor_z - face.z_mm)
             turned, index = turned + turn, face.index
         band = FIRST_BAND * (cone + turned) + pupil.index * (reach + rings + added) / abs(pupil.radius_mm)

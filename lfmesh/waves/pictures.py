@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.lens.main_order import phases_of
 from lfmesh.scene import Scene, first_order
 from lfmesh.scene.camera.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.pose import Pose
@@ -127,8 +128,9 @@ def _is_symmetric(scene: Scene, mla: MicrolensArray) -> bool:
     """Tell whether a mirror along x, y or the diagonal leaves a camera unchanged."""
     lens, sensor = scene.camera.lens, scene.camera.sensor
     centred = mla.pose == sensor.pose == Pose() and not lens.elements
+    revolved = all(phase.of_revolution for phase in phases_of(scene).values())
     square = len({*mla.count}) == 1 and len({*sensor.pixels}) == 1 and mla.cylinder_axis is None
-    return centred and square and lens.number_off_revolution is None
+    return centred and square and revolved and lens.number_off_revolution is None
 
 
 class _Shared(NamedTuple):

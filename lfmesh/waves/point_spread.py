@@ -16,6 +16,8 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import DiffractionWarning, LfmeshError, PictureWarning, warn_caller
+from lfmesh.geometry.lens.main_order import left_out, phases_of
+from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Pictured, watched
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import percent
@@ -151,6 +153,8 @@ def point_spread(
 ) -> PointSpread:  # fmt: skip
     """Compute the irradiance on the sensor from an isotropic point of 1 W/sr, with diffraction and interference.
 
+    A diffractive face with several orders sends the light of its main order alone.
+
     Parameters
     ----------
     scene : Scene
@@ -179,7 +183,7 @@ def point_spread(
     -----
     DiffractionWarning
         Steps or rims of lenslets send light beyond the grid's directions, and the picture is wrong by 0.5 % of the
-        light or more.
+        light or more; or a diffractive face has several orders, and the light of all but the main one is missing.
 
     Raises
     ------
@@ -190,8 +194,9 @@ def point_spread(
     """
     with watched(progress) as report:
         asked = Asked(window, oversample, tolerance)
-        found = followed(WaveCamera.of(scene), point_mm, wavelengths_nm, weights, asked, report)
-    warn_caller(warnings_of(found.beyond))
+        camera = WaveCamera.of(scene, main_orders=True)
+        found = followed(camera, point_mm, wavelengths_nm, weights, asked, report)
+    warn_caller([*left_out(phases_of(solved_camera(scene).scene)), *warnings_of(found.beyond)])
     return found
 
 

@@ -112,7 +112,7 @@ def numbers_of(name: str, given: object) -> Array:
 
 
 def refuse_scene(scene: Scene) -> None:
-    """Refuse a scene with media, tanks, bodies of glass, a polariser or rough faces."""
+    """Refuse a scene with media, tanks, bodies of glass or a polariser."""
     if scene.media or scene.tanks:
         name = "media" if scene.media else "tanks"
         raise LfmeshError(f"{name}: a point spread cannot be computed through them; omit them")
@@ -123,6 +123,10 @@ def refuse_scene(scene: Scene) -> None:
         raise LfmeshError(
             f"camera.polariser_deg = {scene.camera.polariser_deg:g}: a point spread has no polarisation; omit it"
         )
+
+
+def refuse_rough_faces(scene: Scene) -> None:
+    """Refuse a solved scene with rough faces."""
     rough = refused_in_order(scene)
     if rough is not None:
         raise LfmeshError(f"{rough}: coherent waves pass smooth faces only; make it polished")

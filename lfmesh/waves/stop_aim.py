@@ -19,6 +19,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.optics.ray_aiming import ContinuedRays, aim_rays, continue_rays
+from lfmesh.scene import Lens
 from lfmesh.scene.literals import percent
 from lfmesh.transport.packets.book import STOP
 from lfmesh.transport.sequences.bundle import DROPPED
@@ -74,6 +75,7 @@ class Edge(IntEnum):
     OTHER_SIDE = 5
     CAUSTIC = 6
     UNKNOWN = 7
+    EVANESCENT = 8
 
 
 WORDS = {
@@ -84,6 +86,7 @@ WORDS = {
     Edge.OTHER_SIDE: "another side of surfaces[{}]",
     Edge.CAUSTIC: "a caustic before the stop, beyond which no ray comes",
     Edge.UNKNOWN: "an unknown edge: ray aiming did not converge",
+    Edge.EVANESCENT: "total reflection, or an evanescent order, at surfaces[{}]",
 }
 """Description of each edge, with the number of the surface."""
 
@@ -101,6 +104,12 @@ class Ends(NamedTuple):
 
     edge: Whole
     surface: Whole
+
+    def with_diffraction(self, lens: Lens) -> "Ends":
+        """Return the ends with total reflection at diffractive faces named for its other cause, too."""
+        diffractive = [i for i, surface in enumerate(lens.surfaces) if surface.phase is not None]
+        either = (self.edge == Edge.REFLECTED) & np.isin(self.surface, diffractive)
+        return Ends(np.where(either, int(Edge.EVANESCENT), self.edge), self.surface)
 
     def words_of(self, ray: int) -> str:
         """Return the name of the edge that ends a ray."""
@@ -484,7 +493,7 @@ class StopAim:
                 if len(open_):
                     there = self._senses(slope[open_], start[open_] + reach * way[open_], wavelength_nm)
                     edge[open_[there * before[open_] < 0.0]] = Edge.CAUSTIC
-        return Ends(edge, surface)
+        return Ends(edge, surface).with_diffraction(self.world.scene.camera.lens)
 
     def _no_ray(self, field: Array, count: int, wavelength_nm: float) -> Ends:
         """Return the ends of the rays of a field without any ray through the stop."""
@@ -493,7 +502,8 @@ class StopAim:
         reflected = arrived.ended[0] == DROPPED
         edge = Edge.REFLECTED if reflected else Edge.MISSED
         number = self.world.lens_shape.numbers[max(0, min(int(arrived.met[0]) - reflected, self._faces_to_stop - 1))]
-        return Ends(np.full(count, int(edge)), np.full(count, number))
+        ends = Ends(np.full(count, int(edge)), np.full(count, number))
+        return ends.with_diffraction(self.world.scene.camera.lens)
 
     def stopped(self, slope: Array, entry: Array, arrived: Arrived, wavelength_nm: float) -> Ends:
         """Return the ends of rays traced through the whole lens with its apertures.
@@ -522,7 +532,8 @@ class StopAim:
             )
         # A ray that meets the last surface again has met all of them.
         surface = np.where(edge == Edge.STOP, self.stop, numbers[np.minimum(met, faces - 1)])
-        return Ends(edge, np.where(edge == Edge.NONE, -1, surface))
+        ends = Ends(edge, np.where(edge == Edge.NONE, -1, surface))
+        return ends.with_diffraction(self.world.scene.camera.lens)
 
 
 def _rings() -> Array:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lens.main_order import phases_of, refuse_several_orders, with_main_orders
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.scene import Scene
 from lfmesh.transport.build import build
@@ -16,7 +17,7 @@ from lfmesh.transport.trace import at_wavelength, trace
 from lfmesh.transport.world import World
 from lfmesh.waves.bundle import Bundle, LensRays, pupil_grid
 from lfmesh.waves.camera_faces import WaveFace, faces_before_sensor
-from lfmesh.waves.refused import NoLightError, refuse_scene
+from lfmesh.waves.refused import NoLightError, refuse_rough_faces, refuse_scene
 
 Array = NDArray[np.float64]
 
@@ -42,20 +43,26 @@ class WaveCamera:
     world: World
 
     @classmethod
-    def of(cls, scene: Scene) -> "WaveCamera":
+    def of(cls, scene: Scene, *, main_orders: bool = False) -> "WaveCamera":
         """Return the camera of a scene.
 
         Parameters
         ----------
         scene : Scene
+        main_orders : bool
+            Reduce diffractive faces with several orders to their main one, instead of refusing them.
 
         Raises
         ------
         LfmeshError
-            The scene is not supported, see `refuse_scene`.
+            The scene is not supported, see `refuse_scene` and `refuse_rough_faces`.
         """
         refuse_scene(scene)
         camera = solved_camera(scene)
+        if not main_orders:
+            refuse_several_orders(phases_of(camera.scene))
+        camera = solved_camera(with_main_orders(camera.scene))
+        refuse_rough_faces(camera.scene)
         return cls(camera, build(camera.scene.camera_alone()))
 
     @property

@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import LfmeshError, warn_caller
+from lfmesh.geometry.lens.main_order import left_out, lens_phases, with_main_orders
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Pictured
 from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
@@ -132,6 +133,8 @@ def wavefront(
 ) -> Wavefront:
     """Compute the wavefront of an object point in the exit pupil of a camera's lens.
 
+    At a diffractive face with several orders it is the wavefront of the main order.
+
     Parameters
     ----------
     scene : Scene
@@ -150,6 +153,11 @@ def wavefront(
     Returns
     -------
     Wavefront
+
+    Warns
+    -----
+    DiffractionWarning
+        A diffractive face has several orders; the light of all but the main one is missing.
 
     Raises
     ------
@@ -176,9 +184,11 @@ def wavefront(
         )
     if not 0.0 < distance <= LARGEST and distance != math.inf:
         raise LfmeshError(f"object_mm = {shown(distance)}: must be above 0, up to {LARGEST:g}, or inf")
-    rays = LensRays(build(camera.scene.camera_alone()), distance, image_z)
+    rays = LensRays(build(with_main_orders(camera.scene.camera_alone())), distance, image_z)
     slope = float(height_mm) if math.isinf(distance) else float(height_mm) / distance
-    return wavefront_of(rays, slope, waves, across, words=f"height_mm = {height_mm:g}")
+    found = wavefront_of(rays, slope, waves, across, words=f"height_mm = {height_mm:g}")
+    warn_caller(left_out(lens_phases(camera.scene)))
+    return found
 
 
 def wavefront_of(rays: LensRays, slope: float, wavelength_nm: float, across: int = ACROSS, *, words: str) -> Wavefront:

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 def relief_of(shape: Lenslets, x: Array, y: Array, box: float, per_mm: float = 0.0) -> Array:
     relief = np.zeros((6, len(x)))
-    fill_relief(shape, x, y, box, per_mm, np.zeros((CELLS, SUMS)), relief)
+    fill_relief(shape, np.stack([x, y]), box, per_mm, None, np.zeros((CELLS, SUMS)), relief)
     return relief
 
 

@@ -13,6 +13,7 @@ from lfmesh.analysis.field_curves import FieldCurves, field_curves, paraxial_sca
 from lfmesh.analysis.light_field import LightFieldAnalysis, analyse_light_field
 from lfmesh.analysis.spots import Spot
 from lfmesh.errors import LfmeshError
+from lfmesh.geometry.lens.main_order import orders_in_words, phases_of, with_main_orders
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
@@ -121,6 +122,8 @@ class LensAnalysis(Shown):
         None without a microlens array.
     no_light_field : str
         Reason if a camera with an array has none.
+    orders : tuple of str
+        The order in which rays are followed, in words, for each diffractive face.
     """
 
     name: str
@@ -141,6 +144,7 @@ class LensAnalysis(Shown):
     airy_radius_mm: float
     light_field: LightFieldAnalysis | None = None
     no_light_field: str = ""
+    orders: tuple[str, ...] = ()
 
     @cached_property
     def waves(self) -> list[FieldWaves | str]:
@@ -190,6 +194,7 @@ class LensAnalysis(Shown):
             f"f = {facts.efl_mm:.4f} mm, working f/{facts.working_f_number:.3f}, object at {at}, "
             f"image plane z = {self.image_z_mm:z.4f} mm",
             *filter(None, [self.focus_in_words]),
+            *self.orders,
             f"Airy radius {1e3 * self.airy_radius_mm:.3f} µm at {self.primary_nm:g} nm; "
             f"wavelengths {', '.join(f'{w:g}' for w in self.wavelengths_nm)} nm",
             f"{'field/mm':>9}{'chief/mm':>11}{'rms/µm':>10}{'GEO/µm':>10}{'passed':>9}"
@@ -255,6 +260,7 @@ class LensAnalysis(Shown):
                 for height, spot, waves in zip(self.heights_mm, self.spots, self.waves, strict=True)
             ],
             "definitions": list(DEFINITIONS),
+            "orders": list(self.orders),
             "light_field": None if self.light_field is None else self.light_field.as_dict(),
         }
 
@@ -268,6 +274,8 @@ def analyse(
     across: int = ACROSS,
 ) -> LensAnalysis:
     """Analyse the main lens of a scene at its image plane, as a lens sheet shows it.
+
+    At a diffractive face with several orders, rays are followed in the main one; the analysis says so.
 
     Parameters
     ----------
@@ -295,7 +303,7 @@ def analyse(
     camera = solved_camera(scene)
     facts = camera.report
     if (number := camera.scene.camera.lens.number_off_revolution) is not None:
-        key = camera.scene.camera.lens.surfaces[number].section_key
+        key = camera.scene.camera.lens.surfaces[number].asymmetric_key
         raise LfmeshError(
             f"camera.lens.surfaces[{number}].{key}: the lens sheet is for surfaces of revolution only, whose fields "
             "lie along one line; trace rays or render instead"
@@ -307,7 +315,7 @@ def analyse(
     height = used_height_mm(camera.scene) if height_mm is None else float(height_mm)
     if not 0.0 < height < math.inf:
         raise LfmeshError(f"height_mm = {height}: must be above 0 and finite")
-    world = build(camera.scene.camera_alone())
+    world = build(with_main_orders(camera.scene.camera_alone()))
     rays = LensRays(world, object_mm, facts.image_z_mm)
     heights = height * np.array(FIELDS)
     primary = waves[len(waves) // 2]
@@ -336,6 +344,7 @@ def analyse(
         airy_radius_mm=0.5 * airy_disk_mm(primary, facts.working_f_number),
         light_field=light_field,
         no_light_field=why_not,
+        orders=tuple(orders_in_words(phases_of(camera.scene))),
     )
 
 

@@ -159,7 +159,7 @@ def _lens_part(figure: Any, analysis: LensAnalysis) -> None:
     for k in range(3):
         _mtf(figure.add_subplot(grid[4, k]), analysis, k)
     missing = (f"no light field: {analysis.no_light_field}",) if analysis.no_light_field else ()
-    _definitions(figure.add_subplot(grid[4, 3:]), (*DEFINITIONS, *missing), WIDE_COLUMNS)
+    _definitions(figure.add_subplot(grid[4, 3:]), (*DEFINITIONS, *analysis.orders, *missing), WIDE_COLUMNS)
 
 
 def _light_field_part(figure: Any, light_field: LightFieldAnalysis) -> None:

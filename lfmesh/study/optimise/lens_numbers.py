@@ -1,7 +1,7 @@
 """Numbers of a solved lens that determine its rays, as one vector for differentiation.
 
-Rays depend on a design's variables only through these numbers: shapes, positions and indices of the surfaces, the stop,
-the object and the image plane.
+Rays depend on a design's variables only through these numbers: shapes, phases, positions and indices of the surfaces,
+the stop, the object and the image plane.
 """
 
 import math
@@ -15,12 +15,14 @@ from lfmesh.analysis.analysis import FIELDS, used_height_mm
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame
 from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.geometry.lens.main_order import lens_phases, refuse_several_orders
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.scene.first_order.solve import focus_wished_mm, image_plane_mm
 from lfmesh.study.optimise.jet import Jet
+from lfmesh.study.optimise.phase_terms import phase_terms
 
 Array = NDArray[np.float64]
 
@@ -36,6 +38,8 @@ class SurfaceNumbers(NamedTuple):
         (3, 4): rotation and position of its frame, with the vertex as origin.
     terms : Jet
         Coefficients of the powers of r added to the conic.
+    phase_powers, phase_distances : Jet
+        Terms of the phase of a diffractive surface, see `PhaseTerms`.
     """
 
     curvature: Jet
@@ -43,6 +47,8 @@ class SurfaceNumbers(NamedTuple):
     thin_power: Jet
     pose: Jet
     terms: Jet
+    phase_powers: Jet
+    phase_distances: Jet
 
 
 class LensNumbers(NamedTuple):
@@ -76,6 +82,8 @@ class RayLayout:
     ----------
     powers : tuple of tuple of int
         Powers of r added to the conic of each surface.
+    phases : tuple of (int, int)
+        Numbers of powers and of distances in the phase of each surface, see `PhaseTerms`.
     stop : int
         Number of the stop surface.
     pure_stop : bool
@@ -91,12 +99,18 @@ class RayLayout:
     """
 
     powers: tuple[tuple[int, ...], ...]
+    phases: tuple[tuple[int, int], ...]
     stop: int
     pure_stop: bool
     waves_nm: tuple[float, ...]
     fields: tuple[float, ...] = FIELDS
     object_mm: float | None = None
     height_mm: float | None = None
+
+    @property
+    def turns_mm(self) -> Array:
+        """(wavelengths,): λ/2π, the change of a direction cosine by a gradient of 1 rad/mm."""
+        return np.array(self.waves_nm) * 1e-6 / (2.0 * math.pi)
 
     def numbers_of(self, scene: Scene) -> Array:
         """Return the numbers of a solved scene, (n,), in the order of `opened`.
@@ -114,7 +128,9 @@ class RayLayout:
             raise LfmeshError(
                 f"the plane in focus lies {object_mm:.6g} mm before the lens: give object_mm in [rays], above 0 or inf"
             )
-        if powers_of(lens) != self.powers or lens.stop_index != self.stop:
+        phases = [phase_terms(surface) for surface in lens.surfaces]
+        counts = tuple(phase.counts for phase in phases)
+        if powers_of(lens) != self.powers or counts != self.phases or lens.stop_index != self.stop:
             raise LfmeshError("the surfaces have other terms, or another stop, than at the start")
         heights = (self.height_mm or used_height_mm(scene)) * np.array(self.fields)
         image_z = paraxial.length_mm + image
@@ -127,6 +143,8 @@ class RayLayout:
                 *(surface.curvature_per_mm, surface.vertex_conic, surface.thin_lens_power_per_mm),
                 *_frame_of(lens, k).ravel(),
                 *(coefficient for _, coefficient in surface.powers_mm),
+                *phases[k].powers,
+                *phases[k].distances.ravel(),
             )
         ]
         indices = [refractive_index(medium, wave) for wave in self.waves_nm for medium in lens.media]
@@ -149,7 +167,10 @@ class RayLayout:
             part = numbers.picked(slice(first, at))
             return Jet(part.value.reshape(shape), part.slope.reshape(*shape, numbers.slope.shape[-1]))
 
-        surfaces = [SurfaceNumbers(taken(), taken(), taken(), taken(3, 4), taken(len(each))) for each in self.powers]
+        surfaces = [
+            SurfaceNumbers(taken(), taken(), taken(), taken(3, 4), taken(len(each)), taken(powers), taken(distances, 2))
+            for each, (powers, distances) in zip(self.powers, self.phases, strict=True)
+        ]
         indices = taken(len(self.waves_nm), len(self.powers) + 1)
         fields = len(self.fields)
         return LensNumbers(surfaces, indices, taken(), taken(), taken(), taken(fields), taken(fields))
@@ -167,19 +188,20 @@ def layout_of(scene: Scene, waves_nm: tuple[float, ...], object_mm: float | None
     Raises
     ------
     LfmeshError
-        A surface is a mesh or not of revolution.
+        A surface is a mesh or not of revolution, or a phase has several orders.
     """
     lens = scene.camera.lens
     if lens.has_meshes:
         raise LfmeshError("the lens has surfaces that are meshes: terms of rays need surfaces with formulas")
     if (number := lens.number_off_revolution) is not None:
-        key = lens.surfaces[number].section_key
+        key = lens.surfaces[number].asymmetric_key
         raise LfmeshError(
             f"camera.lens.surfaces[{number}].{key}: terms of rays need surfaces of revolution, as the lens sheet does"
         )
-    stop = lens.stop_index or 0
+    refuse_several_orders(lens_phases(scene))
+    stop, phases = lens.stop_index or 0, tuple(phase_terms(surface).counts for surface in lens.surfaces)
     return RayLayout(
-        powers_of(lens), stop, lens.is_pure_stop(stop), waves_nm, object_mm=object_mm, height_mm=height_mm
+        powers_of(lens), phases, stop, lens.is_pure_stop(stop), waves_nm, object_mm=object_mm, height_mm=height_mm
     )  # fmt: skip
 
 

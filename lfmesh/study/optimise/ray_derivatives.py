@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.study.optimise.jet import Jet, Number, constant
 from lfmesh.study.optimise.lens_numbers import LensNumbers, RayLayout, SurfaceNumbers
+from lfmesh.study.optimise.phase_terms import steepness
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -144,7 +145,8 @@ def _followed(
                 break
         if not pure:
             before, after = (lens.indices.picked((fan.wave, number + k)) for k in (0, 1))
-            d = _bent(surface, layout.powers[number], p, d, before / after)
+            turn = layout.turns_mm[fan.wave] / after if any(layout.phases[number]) else None
+            d = _bent(surface, layout.powers[number], p, d, before / after, turn)
         p, d = _out_of(surface.pose, p, d)
     if not to_image:
         return *stop, stop
@@ -236,20 +238,48 @@ def _sag(surface: SurfaceNumbers, powers: tuple[int, ...], r2: Jet) -> tuple[Num
     return sag, double
 
 
-def _bent(surface: SurfaceNumbers, powers: tuple[int, ...], p: Vector, d: Vector, ratio: Jet) -> Vector:
-    """Return the directions of rays behind a surface, by Snell's law in vector form or for an ideal thin lens."""
+def _bent(
+    surface: SurfaceNumbers, powers: tuple[int, ...], p: Vector, d: Vector, ratio: Jet, turn: Jet | None
+) -> Vector:
+    """Return the directions of rays behind a surface, by Snell's law in vector form or for an ideal thin lens.
+
+    Parameters
+    ----------
+    surface : SurfaceNumbers
+    powers : tuple of int
+        Powers of r added to its conic.
+    p, d : Vector
+        Points on the surface, and unit directions.
+    ratio : Jet
+        Index before the surface over that behind it.
+    turn : Jet, optional
+        Factor from the gradient of a phase to the change of the tangential direction: λ/2π over the index behind, mm.
+        None for a surface without a phase.
+    """
     if surface.thin_power.value != 0.0 or surface.thin_power.slope.any():
         x, y = (d[i] / d[2] - surface.thin_power * p[i] for i in (0, 1))
         scale = 1.0 / (_as_jet(x * x + y * y + 1.0)).root()
         return x * scale, y * scale, scale
-    _, double = _sag(surface, powers, _as_jet(p[0] * p[0] + p[1] * p[1]))
+    r2 = _as_jet(p[0] * p[0] + p[1] * p[1])
+    _, double = _sag(surface, powers, r2)
     normal = (-double * p[0], -double * p[1], 1.0)
     scale = 1.0 / _as_jet(normal[0] * normal[0] + normal[1] * normal[1] + 1.0).root()
     normal = tuple(each * scale for each in normal)  # type: ignore[assignment]
+    if turn is not None:
+        steep = turn * steepness(surface.phase_powers, surface.phase_distances, r2)
+        return _diffracted((ratio * d[0] + steep * p[0], ratio * d[1] + steep * p[1], ratio * d[2]), normal)
     cosine = sum((normal[i] * d[i] for i in range(3)), 0.0)
     behind = (1.0 - ratio * ratio * (1.0 - cosine * cosine)).root()
     along = behind - ratio * cosine
     return tuple(ratio * d[i] + along * normal[i] for i in range(3))  # type: ignore[return-value]
+
+
+def _diffracted(moved: Vector, normal: Vector) -> Vector:
+    """Return unit directions with the tangential part of given vectors."""
+    along = sum((normal[i] * moved[i] for i in range(3)), 0.0)
+    square = sum((moved[i] * moved[i] for i in range(3)), 0.0)
+    behind = _as_jet(1.0 - (square - along * along)).root()
+    return tuple(moved[i] + (behind - along) * normal[i] for i in range(3))  # type: ignore[return-value]
 
 
 def _value(number: Number) -> Array:

@@ -37,6 +37,15 @@ def asphere(**surface: Any) -> lf.Scene:
 
 POSE = {"tilt_deg": [0.3, 0.2, 0.0], "shift_mm": [0.02, 0.1, 0.0]}
 THIN_LENS = {"paraxial": True, "focal_length_mm": 60.0, "thickness_mm": 5.0, "semi_diameter_mm": 15.0}
+RADIAL = {"kind": "radial", "coefficients_rad": [-90.0, 3.0], "radius_mm": 10.0, "order": 2}
+METALENS = {"kind": "metalens", "focal_length_mm": 400.0, "design_nm": 550.0}
+HOLOGRAM = {
+    "kind": "hologram",
+    "construction_nm": 500.0,
+    "point_1_mm": [0.0, 0.0, -900.0],
+    "point_2_mm": [0.0, 0.0, 300.0],
+    "point_2": "virtual",
+}
 SURFACE = "lens.surfaces[0]"
 CASES: dict[str, tuple[lf.Scene, list[dict[str, Any]], dict[str, Any]]] = {
     "spheres": (
@@ -70,6 +79,23 @@ CASES: dict[str, tuple[lf.Scene, list[dict[str, Any]], dict[str, Any]]] = {
     "strong asphere of Forbes": (
         asphere(qcon={"norm_radius_mm": 10.0, "coefficients_mm": [0.05, -0.01]}),
         [variable(f"{SURFACE}.qcon.coefficients_mm[0]", -0.2, 0.2), variable(f"{SURFACE}.radius_mm", 20.0, 50.0)],
+        {"across": 6},
+    ),
+    "radial phase and metalens": (
+        asphere(conic=-0.6, phase=RADIAL).changed({"camera.lens.surfaces[1].phase": METALENS}),
+        [
+            variable(f"{SURFACE}.phase.coefficients_rad[0]", -200.0, 0.0),
+            variable(f"{SURFACE}.phase.coefficients_rad[1]", -20.0, 20.0),
+            variable(f"{SURFACE}.phase.radius_mm", 8.0, 12.0),
+            variable("lens.surfaces[1].phase.focal_length_mm", 200.0, 600.0),
+            variable(f"{SURFACE}.radius_mm", 20.0, 50.0),
+            variable(f"{SURFACE}.glass.nd", 1.5, 1.7),
+        ],
+        {"across": 6},
+    ),
+    "hologram": (
+        asphere(phase=HOLOGRAM),
+        [variable(f"{SURFACE}.phase.point_2_mm[2]", 200.0, 600.0), variable(f"{SURFACE}.thickness_mm", 5.0, 12.0)],
         {"across": 6},
     ),
     "tilted and decentred element, f-number": (

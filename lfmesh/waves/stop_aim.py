@@ -86,7 +86,7 @@ WORDS = {
     Edge.OTHER_SIDE: "another side of surfaces[{}]",
     Edge.CAUSTIC: "a caustic before the stop, beyond which no ray comes",
     Edge.UNKNOWN: "an unknown edge: ray aiming did not converge",
-    Edge.EVANESCENT: "total reflection, or an evanescent order, at surfaces[{}]",
+    Edge.EVANESCENT: "total reflection, or an order that is evanescent or without light, at surfaces[{}]",
 }
 """Description of each edge, with the number of the surface."""
 

@@ -1,7 +1,8 @@
 """Chief rays: traced from the middle of the stop through the apex of every lenslet to the sensor.
 
 `lf.trace` follows them through any lens. In the array, a lenslet acts as a plane-parallel plate: at the apex its curved
-face is square to the axis.
+face is square to the axis. A diffractive curved face deflects them by the gradient of its phase at the apex. At a
+diffractive face with several orders they follow the main one.
 """
 
 from functools import lru_cache
@@ -61,7 +62,8 @@ class ChiefRays(NamedTuple):
 class Plate(NamedTuple):
     """Array and cover as seen by a chief ray: their glass, and the side of the curved face.
 
-    Indices are relative to the medium outside.
+    Indices are relative to the medium outside. The deflection is the change of the direction cosines x and y outside
+    the array by a diffractive curved face, the same in both directions of travel.
     """
 
     lenslets: Lenslets
@@ -70,6 +72,7 @@ class Plate(NamedTuple):
     moves: Array
     cover_mm: float = 0.0  # thickness of the cover; 0: none
     cover_index: float = 1.0
+    deflection: tuple[float, float] = (0.0, 0.0)
 
     @property
     def apexes(self) -> Array:
@@ -102,7 +105,7 @@ class Plate(NamedTuple):
         direction : (n, 3) float64
             Before the array, camera frame.
         """
-        d = frames.directions(self.moves[CAMERA_FRAME, MLA_FRAME], direction)
+        d = self.deflected(frames.directions(self.moves[CAMERA_FRAME, MLA_FRAME], direction))
         leaves = np.column_stack([self.apexes, np.zeros(len(d))])
         if self.curved_to_lens:
             inside = self.inside(d)
@@ -126,6 +129,14 @@ class Plate(NamedTuple):
         in_glass = np.sqrt(self.cover_index**2 - np.einsum("ij,ij->i", across, across))
         return self.cover_mm * (1.0 / in_glass - 1.0 / along)[:, None] * across
 
+    def deflected(self, direction: Array) -> Array:
+        """Return unit directions (array frame) on the far side of the array of rays through the apexes."""
+        if self.deflection == (0.0, 0.0):
+            return direction
+        across = direction[:, :2] + self.deflection
+        along = np.sqrt(1.0 - np.einsum("ij,ij->i", across, across))
+        return np.column_stack([across, np.copysign(along, direction[:, 2])])
+
     def inside(self, direction: Array) -> Array:
         """Return unit directions (array frame) in the glass, by Snell's law at a face square to the axis."""
         across = direction[:, :2] / self.glass
@@ -134,7 +145,7 @@ class Plate(NamedTuple):
 
 
 def refuse_undecodable(mla: MicrolensArray) -> None:
-    """Refuse arrays with cylindrical lenslets or with lenslets on both faces.
+    """Refuse arrays with cylindrical lenslets, with lenslets on both faces, or with a diffractive flat face.
 
     Raises
     ------
@@ -151,6 +162,12 @@ def refuse_undecodable(mla: MicrolensArray) -> None:
             "camera.mla.back: arrays with lenslets on both faces are not decoded or calibrated, because chief rays are "
             "known through a flat face only; render, check, draw, view and lf.white_image accept them"
         )
+    if mla.flat_phase is not None:
+        raise LfmeshError(
+            "camera.mla.flat_phase: arrays with a diffractive flat face are not decoded or calibrated, because chief "
+            "rays are known through a plain flat face only; render, check, draw, view and lf.white_image accept them, "
+            "and curved_phase is decoded"
+        )
 
 
 def plate_of(scene: Scene) -> Plate:
@@ -159,7 +176,7 @@ def plate_of(scene: Scene) -> Plate:
     Raises
     ------
     LfmeshError
-        A conventional camera, cylindrical lenslets, or lenslets on both faces.
+        A conventional camera, cylindrical lenslets, lenslets on both faces, or a diffractive flat face.
     """
     mla = scene.camera.mla
     if mla is None:
@@ -170,7 +187,13 @@ def plate_of(scene: Scene) -> Plate:
     moves = frame_table(scene, np.zeros(3))
     camera, cover = scene.camera, scene.camera.sensor.cover
     covered = (0.0, 1.0) if cover is None else (cover.thickness_mm, camera.relative_index(cover.medium, primary))
-    return Plate(tables.lenslets, camera.relative_index(mla.medium, primary), tables.curved_to_lens, moves, *covered)
+    deflection = (0.0, 0.0)
+    if mla.curved_phase is not None:
+        per_rad = mla.curved_phase.path_per_rad_mm(primary) / camera.image_index(primary)
+        by_x, by_y = mla.curved_phase.gradient_rad_mm
+        deflection = (per_rad * by_x, per_rad * by_y)
+    glass = camera.relative_index(mla.medium, primary)
+    return Plate(tables.lenslets, glass, tables.curved_to_lens, moves, *covered, deflection)
 
 
 def chief_rays(scene: Scene) -> ChiefRays:

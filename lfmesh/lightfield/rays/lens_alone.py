@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from lfmesh.geometry.lens.main_order import with_main_orders
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.build import build
@@ -25,7 +26,10 @@ NEARER = 0.1
 
 
 def lens_alone(scene: Scene) -> World:
-    """Build only the main lens, with a wide plane in place of the array, in the camera frame."""
+    """Build only the main lens, with a wide plane in place of the array, in the camera frame.
+
+    Diffractive faces send the light of their main order alone.
+    """
     mla, sensor = scene.camera.mla, scene.camera.sensor
     assert mla is not None
     assert mla.distance_mm is not None
@@ -39,7 +43,7 @@ def lens_alone(scene: Scene) -> World:
             "transport.engine": "auto",
         }
     )
-    return _built(solved_camera(alone))
+    return _built(solved_camera(with_main_orders(alone)))
 
 
 @lru_cache(maxsize=4)

@@ -93,6 +93,7 @@ def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) ->
     glass = np.full(len(pixels), plate.lenslets.thickness if plate.curved_to_lens else 0.0)
     in_array = ahead(plate, pixel_slopes(plate, on_sensor, apexes, glass, glass).slope)
     in_array /= np.linalg.norm(in_array, axis=1, keepdims=True)
+    in_array = plate.deflected(in_array)
     first = np.column_stack([apexes, np.zeros(len(apexes))])
     if not plate.curved_to_lens:
         inside = plate.inside(in_array)

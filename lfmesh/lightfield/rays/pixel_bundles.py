@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.geometry.array.lenslets import Lenslets, faces_at, type_of
+from lfmesh.geometry.lens.main_order import phases_of
 from lfmesh.lightfield.rays.chief_rays import Plate
 from lfmesh.lightfield.rays.pixel_slopes import ahead, pixel_slopes
 from lfmesh.lightfield.rays.view_rays import image_path_engine
@@ -137,16 +138,40 @@ def _chunk(world: World, plate: Plate, numbers: NDArray[np.int64], pixels: Array
     # Radiance over the square of the index is conserved, apart from the transmittance.
     facts = world.facts
     gain = (facts.image_index / facts.object_index) ** 2
-    weight = M2_PER_MM2 * gain * etendue[rays] * passed[paths.source[out]] * paths.weight[out]
     to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
     p, d = frames.points(to_camera, paths.position[out]), frames.directions(to_camera, paths.direction[out])
     # Reversed light, with its start moved out of the lens.
     tables = at_wavelength(world, scene.primary_nm)
     away = float(np.linalg.norm(tables.lens.box_high - tables.lens.box_low))
+    share = passed[paths.source[out]] * paths.weight[out]
+    if phases_of(scene):
+        share = _share_of_light(world, paths.position[out] + away * paths.direction[out], -paths.direction[out])
+    weight = M2_PER_MM2 * gain * etendue[rays] * share
     weight /= etendue_factors(tables, p + away * d, -d)
     slopes = d[:, :2] / d[:, 2:]
     four = np.column_stack([p[:, :2] - p[:, 2:] * slopes, slopes])
     return _moments(count, of_pixel[rays], weight, four)
+
+
+def _share_of_light(world: World, origins: Array, directions: Array) -> Array:
+    """Return the share of light along rays that reaches the sensor, (n,).
+
+    A diffractive face passes another share of light than of its reversal, which arrives at another angle.
+
+    Parameters
+    ----------
+    world : World
+    origins, directions : (n, 3) float64
+        Before the lens, mm, and unit, world frame.
+    """
+    scene = world.scene
+    paths = trace(
+        world, origins, directions, scene.primary_nm,
+        split="transmit", engine=image_path_engine(scene, tracing=True), threads=scene.transport.threads,
+    )  # fmt: skip
+    share, lands = np.zeros(len(origins)), paths.status == Status.SENSOR
+    share[paths.source[lands]] = paths.weight[lands]
+    return share
 
 
 def _before_cover(world: World, places: Array, direction: Array) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lens.main_order import with_main_orders
 from lfmesh.lightfield.calibration.calibration import calibration_by
 from lfmesh.lightfield.rays.chief_rays import chief_rays, plate_of
 from lfmesh.lightfield.rays.ray_model import RayModel, TracedShift
@@ -25,12 +26,15 @@ ACROSS = 9
 
 
 class ViewRays:
-    """Rays of every view of a light-field camera, traced from the array to object space."""
+    """Rays of every view of a light-field camera, traced from the array to object space.
+
+    At diffractive faces with several orders they follow the main one.
+    """
 
     def __init__(self, world: World) -> None:
-        scene = world.scene
+        scene = with_main_orders(world.scene)
         rays = chief_rays(scene)
-        self.world = world
+        self.world = world if scene is world.scene else build(scene)
         self.calibration = calibration_by(scene, rays)
         self._upright = Upright.of(scene)
         self.sampling = sampling_of(self.calibration, self._upright)

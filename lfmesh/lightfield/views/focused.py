@@ -59,6 +59,11 @@ def focused(
     if not 1 <= len(reductions) <= MOST_TYPES or not all(1.0 < r < 1e3 for r in reductions):
         raise LfmeshError(f"reduction = {reductions}: give 1 to {MOST_TYPES} numbers above 1")
     assert camera.mla is not None
+    if camera.mla.curved_phase is not None:
+        raise LfmeshError(
+            "camera.mla.curved_phase: the focal lengths of diffractive lenslets are not converted; give a camera with "
+            "lenslets without a phase, or change the phase yourself"
+        )
     if solved_camera(scene).report.focused:
         raise LfmeshError("the camera is already a focused plenoptic one: give a standard one, see `lfmesh check`")
     b = model.lenslet_to_sensor_mm

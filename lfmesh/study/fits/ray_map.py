@@ -13,6 +13,7 @@ from scipy.ndimage import uniform_filter
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lens.main_order import with_main_orders
 from lfmesh.lightfield.calibration.calibration import Calibration
 from lfmesh.lightfield.rays.chief_rays import plate_of
 from lfmesh.lightfield.rays.object_rays import object_rays
@@ -163,7 +164,7 @@ def _mean_rays(scene: Scene, lenslets: NDArray[np.int64], pixels: Array) -> Arra
     """Return the mean rays of the pixels' bundles, (n, 4); NaN where vignetted."""
     plate = plate_of(scene)
     numbers = lenslets[:, 1] * plate.lenslets.lattice.columns + lenslets[:, 0]
-    found = bundles(build(scene.camera_alone()), plate, numbers, pixels)
+    found = bundles(build(with_main_orders(scene.camera_alone())), plate, numbers, pixels)
     return np.where(found.weight[:, None] > WHOLE * found.weight.max(initial=0.0), found.mean, np.nan)
 
 

@@ -195,10 +195,16 @@ def test_points_of_a_cell_integrate_polynomials(hexagonal: bool) -> None:
     np.testing.assert_allclose(moments, expected * np.eye(2), rtol=0, atol=1e-16)
 
 
+PRISM = {"kind": "xy", "coefficients_rad": [[1, 0, 60.0], [0, 1, -40.0]], "radius_mm": 0.0625}
+"""A phase that deflects light by some degrees."""
+
+
 @pytest.mark.parametrize(
     ("layout", "curved_side", "change"),
     [
         ("square", "lens", {}),
+        ("square", "lens", {"camera.mla.curved_phase": PRISM}),
+        pytest.param("hexagonal", "sensor", {"camera.mla.curved_phase": PRISM}, marks=pytest.mark.long),
         pytest.param("hexagonal", "sensor", BEHIND_A_COVER, marks=pytest.mark.long),
         pytest.param("square", "lens", BEHIND_A_COVER, marks=pytest.mark.long),
         pytest.param("hexagonal", "sensor", {}, marks=pytest.mark.long),

@@ -18,14 +18,18 @@ BUILT_BADLY = {
     "camera.pose": {"shift_mm": [40.0, 30.0, -20.0], "tilt_deg": [10.0, 20.0, 30.0]},
 }
 
+PRISM = {"kind": "xy", "coefficients_rad": [[1, 0, 30.0], [0, 1, -20.0], [2, 0, -8.0]], "radius_mm": 0.0625}
+"""A phase that deflects the rays through the apexes."""
 
+
+@pytest.mark.parametrize("phase", [None, PRISM], ids=["glass", "phase"])
 @pytest.mark.parametrize("curved_side", ["lens", "sensor"])
 @pytest.mark.parametrize("layout", ["square", "hexagonal"])
 def test_the_whole_camera_traced_ends_where_the_chief_ray_lands(
-    camera: Callable[..., Scene], layout: str, curved_side: str
+    camera: Callable[..., Scene], layout: str, curved_side: str, phase: dict[str, object] | None
 ) -> None:
     """Every installation and form error at once; `lf.trace` meets the array cell by cell and shares no formula."""
-    scene = camera(layout, curved_side).changed(BUILT_BADLY)
+    scene = camera(layout, curved_side).changed(BUILT_BADLY | {"camera.mla.curved_phase": phase})
     rays = chief_rays(scene)
     assert rays.traced.all()
     world = lf.build(scene)
@@ -79,6 +83,11 @@ def test_a_lenslet_beyond_the_lens_reach_has_no_chief_ray(camera: Callable[..., 
     traced = chief_rays(scene).traced
     assert traced[:, 240:260].all()
     assert not traced[:, [0, -1]].any()
+
+
+def test_arrays_with_a_phase_on_the_flat_face_have_no_chief_rays(camera: Callable[..., Scene]) -> None:
+    with pytest.raises(lf.LfmeshError, match=r"camera\.mla\.flat_phase"):
+        chief_rays(camera().changed({"camera.mla.flat_phase": PRISM}))
 
 
 def test_a_conventional_camera_has_no_chief_rays_of_lenslets(camera: Callable[..., Scene]) -> None:

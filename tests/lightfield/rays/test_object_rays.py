@@ -18,14 +18,19 @@ BUILT_BADLY = {
     "camera.pose": {"shift_mm": [40.0, 30.0, -20.0], "tilt_deg": [10.0, 20.0, 30.0]},
 }
 
+PRISM = {"kind": "xy", "coefficients_rad": [[1, 0, 30.0], [0, 1, -20.0], [2, 0, -8.0]], "radius_mm": 0.0625}
+"""A phase that deflects the rays through the apexes."""
 
+
+@pytest.mark.parametrize("phase", [None, PRISM], ids=["glass", "phase"])
 @pytest.mark.parametrize("sensor_mm", [None, 0.45], ids=["in the focal plane", "focused plenoptic"])
 @pytest.mark.parametrize("curved_side", ["lens", "sensor"])
 @pytest.mark.parametrize("layout", ["square", "hexagonal"])
 def test_light_along_the_ray_of_a_pixel_lands_on_it(
-    camera: Callable[..., Scene], layout: str, curved_side: str, sensor_mm: float | None
-) -> None:
-    scene = camera(layout, curved_side).changed(BUILT_BADLY)
+    camera: Callable[..., Scene], layout: str, curved_side: str, sensor_mm: float | None,
+    phase: dict[str, object] | None,
+) -> None:  # fmt: skip
+    scene = camera(layout, curved_side).changed(BUILT_BADLY | {"camera.mla.curved_phase": phase})
     if sensor_mm is not None:
         scene = scene.changed({"camera.sensor.distance_mm": sensor_mm})
     calibration = lf.calibrate(scene)

@@ -91,14 +91,15 @@ def manufacturing(scene: Scene) -> Ready:
     mla = scene.camera.mla
     if mla is None:
         raise LfmeshError('template = "manufacturing": its errors need a microlens array, but the camera has none')
-    form = "camera.mla.form"
+    form, is_curved = "camera.mla.form", mla.focal_length_mm is not None or any(map(math.isfinite, mla.radii_mm))
     axes = [
         _axis(f"{form}.pitch_error", PITCH_ERROR, "pitch error"),
         _rms(f"{form}.decenter_mm", scene.camera.sensor.pixel_mm, "lenslet decentre, rms / mm"),
-        _rms(f"{form}.radius_error", RADIUS_ERROR, "lenslet radius error, rms"),
+        *([_rms(f"{form}.radius_error", RADIUS_ERROR, "lenslet radius error, rms")] if is_curved else []),
         *(
             _axis(f"camera.mla.radius_mm[{i}]", RADIUS_ERROR * abs(radius), "lenslet radius, all / mm")
             for i, radius in enumerate(mla.radius_mm or ())
+            if math.isfinite(radius)
         ),
         _axis("camera.mla.thickness_mm", 0.02 * mla.thickness_mm, "plate thickness / mm"),
     ]

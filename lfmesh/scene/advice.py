@@ -12,6 +12,7 @@ from lfmesh.scene.first_order.beam_bounds import CLOSE, Beam
 from lfmesh.scene.first_order.focused import in_focus_distance_mm
 from lfmesh.scene.first_order.meridional import beam_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
+from lfmesh.scene.first_order.phase_lines import least_period_mm
 from lfmesh.scene.first_order.solve import focus_wished_mm
 from lfmesh.scene.light.particles import shining_particles
 from lfmesh.scene.literals import percent
@@ -31,6 +32,8 @@ _TOUCHING_TOLERANCE = 0.02
 _GROWTH = 1.5
 # About the width of an atom, in nm.
 _THINNEST_LAYER_NM = 0.2
+# Smallest period of a phase, in wavelengths, that scalar theory describes.
+_FEWEST_WAVES = 2.0
 # Fraction of the focus distance, or of 100 focal lengths where the focus is farther.
 _FOCUS_TOLERANCE = 1e-3
 
@@ -91,7 +94,19 @@ def _rough_camera(scene: Scene) -> Iterator[str]:
 
 def doubtful(scene: Scene, facts: "FirstOrder") -> tuple[PictureWarning, ...]:
     """Return the warnings about errors in a picture of a solved scene, most important first."""
-    return in_order([*_forward_in_fog(scene), *_scattered_particles(scene), *_diffraction(scene, facts)])
+    waves = *_diffraction(scene, facts), *_fine_phases(scene)
+    return in_order([*_forward_in_fog(scene), *_scattered_particles(scene), *waves])
+
+
+def _fine_phases(scene: Scene) -> Iterator[PictureWarning]:
+    """Warn of diffractive faces with periods of few wavelengths, beyond scalar theory."""
+    for where, phase, _, _ in scene.phases():
+        waves = 1e6 * least_period_mm(scene, where, phase) / scene.primary_nm
+        if waves < _FEWEST_WAVES:
+            yield DiffractionWarning(
+                f"{format_path(where)}: its smallest period is {waves:.3g} wavelengths. Below {_FEWEST_WAVES:g} the "
+                "shares of its orders depend on angle and polarisation, which is not traced"
+            )
 
 
 def _forward_in_fog(scene: Scene) -> Iterator[PictureWarning]:

@@ -29,7 +29,9 @@ def phase_lines(scene: Scene) -> list[str]:
         if in_x != power:
             said += f" in y, {_power_in_words(in_x)} in x"
         said += f", {100.0 * shares[phase.main_order]:.3g} % of the light in order {phase.main_order}"
-        lines.append(f"{_face(where):<34}{said}, {_period(phase, *_extent_mm(scene, where))}")
+        period = least_period_mm(scene, where, phase)
+        lines_of = f"period from {1e3 * period:.4g} µm" if math.isfinite(period) else "without lines"
+        lines.append(f"{_face(where):<34}{said}, {lines_of}")
     return lines
 
 
@@ -57,9 +59,19 @@ def _extent_mm(scene: Scene, where: Location) -> tuple[float, float]:
     return radius, radius if mla.layout == "hexagonal" else 0.5 * mla.pitch_mm
 
 
-def _period(phase: Phase, radius_mm: float, half_mm: float) -> str:
-    """Return the least distance along which the phase changes by 2π."""
+def least_period_mm(scene: Scene, where: Location, phase: Phase) -> float:
+    """Return the least distance along which a phase changes by 2π, in mm; inf if it is constant.
+
+    Parameters
+    ----------
+    scene : Scene
+        Solved.
+    where : tuple of str and int
+        Location of the phase.
+    phase : Phase
+    """
+    radius_mm, half_mm = _extent_mm(scene, where)
     r, azimuth = np.linspace(0.0, radius_mm, RADII + 1), 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     x, y = (np.clip(np.outer(r, of(azimuth)).ravel(), -half_mm, half_mm) for of in (np.cos, np.sin))
     steepest = float(np.hypot(*phase_gradients(phase, x, y).T).max())
-    return f"period from {2e3 * math.pi / steepest:.4g} µm" if steepest else "without lines"
+    return 2.0 * math.pi / steepest if steepest else math.inf

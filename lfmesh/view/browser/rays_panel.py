@@ -411,7 +411,7 @@ def _step_cells(step: Step) -> list[str]:
     shares = ("" if share is None else f"{share:.4f}" for share in (step.reflectance, step.transmittance))
     return [
         step.short,
-        step.event.name.lower(),
+        step.event_in_words,
         "" if step.incidence_deg is None else f"{step.incidence_deg:.3f}",
         *shares,
         f"{step.power:.3e}",

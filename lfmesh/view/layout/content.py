@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lfmesh.geometry.lens.main_order import with_main_orders
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.objects.targets import target_mesh
@@ -25,16 +26,19 @@ from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME,
 from lfmesh.transport.world import World
 from lfmesh.view.layout.sections import (
     Cut,
+    Diffractive,
     Glass,
     ThinLens,
     curved_face,
     cut_through,
+    diffractive_surfaces,
     lens_glass,
     mesh_section,
     sag_at_rim,
     thin_lenses,
 )
 from lfmesh.view.rays.aimed_rays import Aim, AimedRay
+from lfmesh.view.rays.names import lens_names
 
 FIELDS = (("axis", 0.0), ("0.7 field", 0.7), ("full field", 1.0))
 """Field points of the drawing, as fractions of the field seen by array and sensor."""
@@ -150,6 +154,8 @@ class Layout:
         Distance of the rays' object plane, the plane of best focus.
     glass : list of Glass
     thin : list of ThinLens
+    diffractive : list of Diffractive
+        Rays follow the main order of each.
     stop : (2,) float64
         z and height of the stop's upper rim.
     bundles : list of Bundle
@@ -167,6 +173,7 @@ class Layout:
     distance_mm: float
     glass: list[Glass]
     thin: list[ThinLens]
+    diffractive: list[Diffractive]
     stop: Array
     bundles: list[Bundle]
     mla: Array | None
@@ -179,6 +186,7 @@ class Layout:
 def layout(scene: Scene) -> Layout:
     """Lay out a camera with real rays from three points of its plane of focus.
 
+    At diffractive faces with several orders, the rays follow the main one; the drawing says so.
     Opaque targets are drawn but block no rays; glass in front of the camera refracts them.
 
     Raises
@@ -190,7 +198,8 @@ def layout(scene: Scene) -> Layout:
     drawn, facts = camera.scene, camera.report
     glass_targets = [t.model_dump() for t in drawn.targets if t.refractor is not None]
     unpolarised = {"transport.polarisation": False, "camera.polariser_deg": None}
-    world = build(drawn.changed({"targets": glass_targets, "lights": (), "media": (), "particles": (), **unpolarised}))
+    bare = drawn.changed({"targets": glass_targets, "lights": (), "media": (), "particles": (), **unpolarised})
+    world = build(with_main_orders(bare))
     distance = _focus_mm(facts)
     aim = Aim(world, distance)
     moves = world.tables.frames
@@ -202,6 +211,7 @@ def layout(scene: Scene) -> Layout:
         distance,
         lens_glass(shape, indices),
         thin_lenses(shape, drawn.camera.lens),
+        diffractive_surfaces(shape, drawn.camera.lens, lens_names(world)),
         _stop_rim(drawn, world),
         _field_bundles(drawn, facts, aim),
         _array_section(drawn, moves),

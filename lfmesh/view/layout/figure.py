@@ -48,7 +48,7 @@ TITLE_BLOCK_IN = 0.86
 GAP_IN = 0.12
 
 LENSLET_COLOURS = ("#6f93c4", FIELD_COLOURS[0], "#6f93c4")
-GLASS, TARGET = "#8fb8de", "#d9d2c5"
+GLASS, TARGET, DIFFRACTIVE = "#8fb8de", "#d9d2c5", "#8a4fb0"
 
 
 LEAD = 0.35
@@ -159,7 +159,10 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
     near = 0.0 < drawn.distance_mm <= NEAR * (back - front)
     start = -1.05 * drawn.distance_mm if near else front - lead
     window = start, back + 0.03 * (back - front), -tall, tall
-    view = View(sheet, place, window, Bands(bottom=0.6, top=0.55, right=0.35), "Meridional section x = 0")
+    title = "Meridional section x = 0"
+    if drawn.diffractive:
+        title += "; rays in " + ", ".join(f"{each.orders} of {label(each.name)}" for each in drawn.diffractive)
+    view = View(sheet, place, window, Bands(bottom=0.6, top=0.55, right=0.35), title)
     view.axis()
     _draw_targets(view, drawn.targets)
     _draw_lens(view, drawn)
@@ -188,7 +191,10 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
 
 def _lens_lines(drawn: Layout) -> list[Array]:
     """Return the lines of all lens elements."""
-    return [*(glass.outline for glass in drawn.glass), *(line for thin in drawn.thin for line in thin.lines)]
+    return [
+        *(glass.outline for glass in drawn.glass), *(line for thin in drawn.thin for line in thin.lines),
+        *(each.line for each in drawn.diffractive),
+    ]  # fmt: skip
 
 
 def _middle(outline: Array) -> float:
@@ -211,6 +217,8 @@ def _draw_lens(view: View, drawn: Layout, line: float = 0.7) -> None:
         view.area(glass.outline, fc=(*mpl.colors.to_rgb(GLASS), depth), lw=line, zorder=2)
     for thin in drawn.thin:
         view.lines(thin.lines, linewidths=1.6 * line, zorder=3)
+    if drawn.diffractive:
+        view.lines([each.line for each in drawn.diffractive], linewidths=2.2 * line, colors=DIFFRACTIVE, zorder=3)
     z, rim = drawn.stop
     bar = 0.06 * rim
     ticks = [np.array([[z, side * rim], [z, side * 1.3 * rim]]) for side in (-1.0, 1.0)]

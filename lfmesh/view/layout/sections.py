@@ -3,6 +3,7 @@
 The section planes have constant x; the meridional plane is x = 0.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.array.lenslets import Lenslets, faces_at, shape_of, type_of
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.lens.lens_shape import LensShape
+from lfmesh.geometry.lens.main_order import has_several_orders
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.surfaces.edges import ring_profile
 from lfmesh.geometry.surfaces.sag import heights
@@ -72,6 +74,24 @@ class ThinLens(NamedTuple):
     name: str
     focal_length_mm: float
     lines: list[Array]
+
+
+class Diffractive(NamedTuple):
+    """Section of a diffractive surface.
+
+    Attributes
+    ----------
+    name : str
+        Name in the path table.
+    orders : str
+        Its orders, in words.
+    line : (n, 2) float64, mm
+        z and y of its profile, from the lower rim to the upper one.
+    """
+
+    name: str
+    orders: str
+    line: Array
 
 
 class Cut(NamedTuple):
@@ -198,6 +218,26 @@ def thin_lenses(shape: LensShape, lens: Lens) -> list[ThinLens]:
             points(record["pose"], np.column_stack([np.zeros_like(y), y, record["vertex_z"] + z])) for z, y in drawn
         ]
         found.append(ThinLens(f"surface[{number}]", focal_length, [in_section(line) for line in in_camera]))
+    return found
+
+
+def diffractive_surfaces(shape: LensShape, lens: Lens, names: Sequence[str]) -> list[Diffractive]:
+    """Cut the diffractive surfaces of a lens by the meridional plane.
+
+    Parameters
+    ----------
+    shape : LensShape
+    lens : Lens
+        Prescription of the lens.
+    names : sequence of str
+        Of its refracting surfaces.
+    """
+    found = []
+    for k, number in enumerate(shape.numbers):
+        phase = lens.surfaces[number].phase
+        if phase is not None:
+            others = " alone" if has_several_orders(phase) else ""
+            found.append(Diffractive(names[k], f"order {phase.main_order:+d}{others}", _profile(shape, k)))
     return found
 
 

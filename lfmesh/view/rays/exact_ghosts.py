@@ -211,7 +211,7 @@ def refusal(world: World, points_mm: ArrayLike) -> str | None:
     if scene.transport.polarisation:
         return "transport.polarisation = true: sequences are followed without polarisation"
     if (number := scene.camera.lens.number_off_revolution) is not None:
-        key = scene.camera.lens.surfaces[number].section_key
+        key = scene.camera.lens.surfaces[number].asymmetric_key
         return f"camera.lens.surfaces[{number}].{key}: sequences are followed through surfaces of revolution only"
     for name in ("media", "particles", "tanks"):
         if getattr(scene, name):

@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.array.lattice import centre
+from lfmesh.geometry.array.lattice import cell_of, centre
 from lfmesh.geometry.array.lenslets import faces_at, shape_of, type_of
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.geometry.surfaces.sag import normals
 from lfmesh.geometry.surfaces.surface import in_place
 from lfmesh.optics.glass import Medium, medium_in_words, refractive_index
+from lfmesh.scene.camera.phase import AnyPhase
+from lfmesh.scene.first_order.phase_turns import phase_gradients
+from lfmesh.scene.literals import percent
 from lfmesh.transport.events.interface import shares
 from lfmesh.transport.packets.packet import BACK_FACE, CAMERA_FRAME, CURVED_FACE, SENSOR_FRAME, WORLD_FRAME, Event
 from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW
@@ -24,6 +27,9 @@ from lfmesh.transport.tables.interfaces import InterfaceTables, interface_tables
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, Interfaces, body_row
 from lfmesh.view.rays.names import BACK, CURVED, FLAT, FRONT, REAR, SENSOR, label, target_names
 from lfmesh.view.rays.paths import Rays
+
+LEVEL = 1e-9
+"""Largest change of direction by the first order at which a phase counts as level."""
 
 IN_SHORT = {Event.TRANSMITTED: "transmit", Event.REFLECTED: "reflect", Event.SCATTERED: "scatter"}
 
@@ -44,7 +50,8 @@ class Step:
         Angle between the arriving ray and the surface normal; None at the start, or where there is no surface (an edge,
         the mount, the border of the scene).
     reflectance, transmittance : float or None
-        Fractions of the power; only at interfaces.
+        Fractions of the power; only at interfaces. At a diffractive face on a path from the sensor: those of light,
+        which arrives against the path.
     medium : str
         Medium after the vertex, or at the end: "air", "n = 1.67", "SCHOTT/N-BK7".
     index : float
@@ -53,6 +60,10 @@ class Step:
         Power after the vertex, or at the end.
     roulette : float
         Factor by which roulette raised the power here (default 1).
+    order : int or None
+        Diffraction order; None at faces without a phase.
+    order_share : float
+        Fraction of the transmitted or reflected light in this order.
     """
 
     surface: str
@@ -66,6 +77,21 @@ class Step:
     index: float
     power: float
     roulette: float
+    order: int | None = None
+    order_share: float = 1.0
+
+    @property
+    def event_in_short(self) -> str:
+        """The event in at most 9 characters; at a diffractive face with its order, such as "order +1"."""
+        if self.order is None or (self.order == 0 and self.event == Event.REFLECTED):
+            return IN_SHORT.get(self.event, self.event.name.lower())
+        return f"{'order' if self.event == Event.TRANSMITTED else 'refl.'} {self.order:+d}"
+
+    @property
+    def event_in_words(self) -> str:
+        """The event, with the order and its share of the light at a diffractive face."""
+        words = self.event.name.lower()
+        return words if self.order is None else f"{words}, order {self.order:+d} with {percent(self.order_share)}"
 
     @property
     def was_raised(self) -> bool:
@@ -79,7 +105,8 @@ class _Interface:
 
     The normal is None where a facet represents a surface without formula; then it follows from the path. The table is
     None where light does not split, as on the sensor. A glass body has one row for each surrounding medium; `body` is
-    its number among the targets. `outside` is the number of the medium around that part of the scene.
+    its number among the targets. `outside` is the number of the medium around that part of the scene. `steepness` is
+    the gradient of a diffractive face's phase, (3,) rad/mm in the world frame.
     """
 
     normal: Vector | None
@@ -87,6 +114,8 @@ class _Interface:
     row: int = 0
     body: int | None = None
     outside: int = AIR
+    phase: AnyPhase | None = None
+    steepness: Vector | None = None
 
 
 def history(rays: Rays, path: int) -> list[Step]:
@@ -114,6 +143,7 @@ def history(rays: Rays, path: int) -> list[Step]:
     for vertex in range(first, end):
         event, met = Event(int(rays.event[vertex])), _interface(rays, vertex, interfaces)
         incidence = reflectance = transmittance = None
+        order, part = None, 1.0
         power = left = float(rays.power[vertex])
         if met is not None and vertex > first:
             other = medium if met.table is None else _medium_beyond(rays, vertex, met.outside)
@@ -122,15 +152,19 @@ def history(rays: Rays, path: int) -> list[Step]:
             row = met.row if met.body is None else _row_of_body(rays, met.body, medium, other)
             incidence = None if cosine is None else float(np.degrees(np.arccos(cosine)))
             if cosine is not None and met.table is not None and event in (Event.TRANSMITTED, Event.REFLECTED):
-                reflectance, transmittance, _ = shares(met.table, row, 0, n_i, n_t, cosine, False)
-                left = steps[-1].power * (transmittance if event == Event.TRANSMITTED else reflectance)
+                ways, sides = (_direction(rays, vertex - 1), _direction(rays, vertex)), (n_i, n_t, cosine)
+                order, part = _order(met, event, wavelength, ways, (medium, other))
+                if order is not None and rays.unit != "W":
+                    sides = _against_light(met, event, ways[1], sides)
+                reflectance, transmittance, _ = shares(met.table, row, 0, *sides, False)
+                left = steps[-1].power * (transmittance if event == Event.TRANSMITTED else reflectance) * part
             medium = other if event == Event.TRANSMITTED else medium
         name = rays.surfaces[rays.surface[vertex]]
         steps.append(
             Step(
                 name, label(name), event, rays.position[vertex], incidence, reflectance, transmittance,
                 medium_in_words(medium), refractive_index(medium, wavelength),
-                power, power / left if left > 0.0 else 1.0,
+                power, power / left if left > 0.0 else 1.0, order, part,
             )
         )  # fmt: skip
     return steps
@@ -145,7 +179,7 @@ def lines(steps: list[Step], unit: str) -> list[str]:
         factor = f"x{step.roulette:.2g}" if step.roulette < 100.0 else f"x{min(step.roulette, 99999.0):.0f}"
         raised = factor if step.was_raised else ""
         lines.append(
-            f"{step.short[:16]:<17}{IN_SHORT.get(step.event, step.event.name.lower()):<9}{angle:>7}{r:>7}{t:>7}"
+            f"{step.short[:16]:<17}{step.event_in_short:<9}{angle:>7}{r:>7}{t:>7}"
             f"{step.power:12.4e}{raised:>7} {step.medium[:13]}"
         )
     return lines
@@ -176,6 +210,61 @@ def _cosine(rays: Rays, vertex: int, normal: Vector | None, n_i: float, n_t: flo
     return min(abs(float(arriving @ normal)), 1.0)
 
 
+def _order(
+    met: _Interface, event: Event, wavelength_nm: float, ways: tuple[Vector | None, Vector | None],
+    media: tuple[Medium, Medium],
+) -> tuple[int | None, float]:  # fmt: skip
+    """Return the diffraction order that a path follows at an interface, and its share of the light.
+
+    The order is the change of the tangential part of n d, over that of the first order. Where the phase is level, all
+    orders have one direction; the main one stands for them, or the zeroth of reflected light.
+
+    Parameters
+    ----------
+    met : _Interface
+    event : Event
+    wavelength_nm : float
+    ways : (3,) float64, (3,) float64
+        Directions before and behind the interface, where known.
+    media : (Medium, Medium)
+        Media before and beyond it.
+    """
+    if met.phase is None or met.steepness is None or met.normal is None:
+        return None, 1.0
+    reflects = event == Event.REFLECTED
+    n_i, n_t = (refractive_index(each, wavelength_nm) for each in media)
+    known = dict(met.phase.reflected() if reflects else met.phase.orders_of(wavelength_nm, *media))
+    order = 0 if reflects else met.phase.main_order
+    first = wavelength_nm * 1e-6 / (2.0 * np.pi) * met.steepness
+    first = first - (first @ met.normal) * met.normal
+    (arriving, leaving), size = ways, float(first @ first)
+    if arriving is not None and leaving is not None and size > LEVEL**2:
+        change = (n_i if reflects else n_t) * leaving - n_i * arriving
+        order = round(float(change @ first) / size)
+    return order, known.get(order, 0.0)
+
+
+def _against_light(
+    met: _Interface, event: Event, leaving: Vector | None, sides: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """Return indices before and after a diffractive face, and the cosine of incidence, of light against a path.
+
+    Parameters
+    ----------
+    met : _Interface
+    event : Event
+    leaving : (3,) float64
+        Direction of the path behind the face, where known.
+    sides : (3,) float
+        The same along the path.
+    """
+    n_i, n_t, _ = sides
+    if leaving is None or met.normal is None:
+        return sides
+    turned = min(abs(float(leaving @ met.normal)), 1.0)
+    return (n_i, n_t, turned) if event == Event.REFLECTED else (n_t, n_i, turned)
+
+
 def _interface(rays: Rays, vertex: int, interfaces: InterfaceTables) -> _Interface | None:
     """Return the interface at a vertex; None if it has no normal of its own."""
     world, name = rays.world, rays.surfaces[rays.surface[vertex]]
@@ -184,11 +273,15 @@ def _interface(rays: Rays, vertex: int, interfaces: InterfaceTables) -> _Interfa
     if 0 <= k < len(shape.surfaces):
         exact = shape.surfaces[k]["level"] == EXACT
         normal = _of_lens(rays, vertex, k) if exact else None
-        return _Interface(normal, interfaces.lens, k)
+        phase = world.scene.camera.lens.surfaces[shape.numbers[k]].phase
+        steepness = None if phase is None else _steepness_on_lens(rays, vertex, k, phase)
+        return _Interface(normal, interfaces.lens, k, phase=phase, steepness=steepness)
     if name in (CURVED, FLAT, BACK) and mla is not None:
         exact = name == FLAT or world.scene.transport.surface == "exact"
         normal, row = _of_array(rays, vertex, name) if exact else None, CURVED_ROW if name == CURVED else FLAT_ROW
-        return _Interface(normal, interfaces.mla, row, outside=world.media.behind_lens)
+        phase = mla.curved_phase if name == CURVED else mla.flat_phase
+        steepness = None if phase is None else _steepness_on_array(rays, vertex, name, phase)
+        return _Interface(normal, interfaces.mla, row, None, world.media.behind_lens, phase, steepness)
     if name in (SENSOR, FRONT, REAR):
         axis = frames.directions(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], [[0.0, 0.0, 1.0]])
         row = FRONT_ROW if name == FRONT else REAR_ROW
@@ -233,6 +326,36 @@ def _of_array(rays: Rays, vertex: int, name: str) -> Vector:
         kind = type_of(lenslets, column, row)
         normal = faces_at(lenslets, kind, curvature, p[None, :2] - [cx + ex, cy + ey])[1][0]
     return np.asarray(frames.directions(moves[face.frame, WORLD_FRAME], normal[None])[0])
+
+
+def _steepness_on_lens(rays: Rays, vertex: int, k: int, phase: AnyPhase) -> Vector:
+    """Return the gradient of a lens surface's phase."""
+    moves, surface = rays.world.tables.frames, rays.world.lens_shape.surfaces[k]
+    p = in_place(surface, frames.points(moves[WORLD_FRAME, CAMERA_FRAME], rays.position[vertex][None]))[0]
+    return np.asarray(
+        frames.directions(moves[CAMERA_FRAME, WORLD_FRAME], frames.directions(surface["pose"], _gradient(phase, p)))[0]
+    )
+
+
+def _steepness_on_array(rays: Rays, vertex: int, name: str, phase: AnyPhase) -> Vector:
+    """Return the gradient of the phase of a face of the array."""
+    moves, face = rays.world.tables.frames, rays.world.tables.mla
+    if name != FLAT and face.face != (CURVED_FACE if name == CURVED else BACK_FACE):
+        face = face.back
+    lenslets = face.lenslets
+    p = frames.points(moves[WORLD_FRAME, face.frame], rays.position[vertex][None])[0]
+    if name == FLAT:
+        apex = centre(lenslets.lattice, *cell_of(lenslets.lattice, p[0], p[1]))
+    else:
+        row, column = divmod(int(rays.lenslet[vertex]), lenslets.lattice.columns)
+        _, ex, ey = shape_of(lenslets, column, row)
+        apex = np.add(centre(lenslets.lattice, column, row), (ex, ey))
+    return np.asarray(frames.directions(moves[face.frame, WORLD_FRAME], _gradient(phase, p[:2] - apex))[0])
+
+
+def _gradient(phase: AnyPhase, place: Vector) -> Vector:
+    """Return the gradient of a phase at a place in its own frame, (1, 3) rad/mm."""
+    return np.column_stack([phase_gradients(phase, place[:1], place[1:2]), np.zeros(1)])
 
 
 def _around(rays: Rays, z: float) -> int:

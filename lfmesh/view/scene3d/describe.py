@@ -1,10 +1,12 @@
 """Descriptions of parts in words: prescription, pixels, materials."""
 
 import math
+from collections.abc import Set
 
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import Medium, medium_in_words, refractive_index
 from lfmesh.scene import Surface
+from lfmesh.scene.first_order.phase_lines import least_period_mm
 from lfmesh.scene.light.spectra import Spectrum, spectral_in_words
 from lfmesh.scene.model import Model
 from lfmesh.transport.world import World
@@ -29,6 +31,8 @@ def describe(world: World, name: str) -> Rows:
     thin = [i for i, surface in enumerate(world.scene.camera.lens.surfaces) if surface.paraxial]
     if name in (f"surface[{i}]" for i in thin):
         return _thin_lens(world, int(number))
+    if name in (f"surface[{i}]" for i in lone_diffractive(world)):
+        return _lone_surface(world, int(number))
     if name == "mount":
         return [("mount", "absorbs light outside the clear apertures between the elements")]
     several = {"lens": (_element, len(world.lens_shape.elements)), "targets": (_target, len(world.targets)),
@@ -49,6 +53,37 @@ def _thin_lens(world: World, number: int) -> Rows:
     ]
 
 
+def lone_diffractive(world: World) -> list[int]:
+    """Return the numbers of diffractive surfaces that bound no glass."""
+    shape, surfaces = world.lens_shape, world.scene.camera.lens.surfaces
+    on_glass = {k + side for k in shape.elements for side in (0, 1)}
+    return [i for k, i in enumerate(shape.numbers) if k not in on_glass and surfaces[i].phase is not None]
+
+
+def _lone_surface(world: World, number: int) -> Rows:
+    surface = world.scene.camera.lens.surfaces[number]
+    return [("surface", _surface(surface, number)), *_phases(world, {number}), *_poses(world, (number, number))]
+
+
+def _phases(world: World, places: Set[str | int]) -> Rows:
+    """Describe phases: kind, orders, efficiency, and the smallest period within the aperture.
+
+    Parameters
+    ----------
+    world : World
+    places : set of str and int
+        Numbers of lens surfaces, or "mla".
+    """
+    rows = []
+    for where, phase, _, _ in world.scene.phases():
+        if where[-2] in places:
+            name = f"phase of surface {where[-2]}" if where[1] == "lens" else str(where[-1])
+            period = least_period_mm(world.scene, where, phase)
+            smallest = f", smallest period {1e3 * period:.4g} µm" if math.isfinite(period) else ""
+            rows.append((name, phase.in_words() + smallest))
+    return rows
+
+
 def _element(world: World, number: int) -> Rows:
     shape = world.lens_shape
     k = shape.elements[number]
@@ -63,6 +98,7 @@ def _element(world: World, number: int) -> Rows:
         ("thickness", f"{thickness:.6g} mm"),
         *(("front", words) for words in [_surface(front, shape.numbers[k])]),
         *(("back", words) for words in [_surface(back, shape.numbers[k + 1])]),
+        *_phases(world, set(shape.numbers[k : k + 2])),
         *_poses(world, (shape.numbers[k], shape.numbers[k + 1])),
     ]
 
@@ -113,19 +149,20 @@ def _stop(world: World) -> Rows:
 def _array(world: World) -> Rows:
     mla = world.scene.camera.mla
     assert mla is not None
-    shapes = ("focal length", mla.focal_length_mm) if mla.focal_length_mm else ("radius", mla.radius_mm or ())
+    shapes = ("focal length", mla.focal_length_mm) if mla.focal_length_mm else ("radius", mla.radii_mm)
+    side = "curved side" if any(map(math.isfinite, mla.radii_mm)) else "diffractive side"
     profile = f", {mla.profile_words}" if mla.profile_words else ""
     rows = [
         ("array", f"{mla.layout}, {mla.count[0]} × {mla.count[1]} lenslets{profile}"),
         ("pitch", f"{mla.pitch_mm:g} mm"),
         (shapes[0], ", ".join(f"{value:g}" for value in shapes[1]) + " mm"),
         ("glass", _medium(world, mla.medium)),
-        ("thickness", f"{mla.thickness_mm:g} mm, curved side to the {mla.curved_side}"),
+        ("thickness", f"{mla.thickness_mm:g} mm, {side} to the {mla.curved_side}"),
     ]
     if mla.back is not None and mla.has_back:
         profile = f", {mla.back.profile_words}" if mla.back.profile_words else ""
         rows.append(("other face", f"lenslets, radius {mla.back.radius_mm:g} mm{profile}"))
-    return rows
+    return [*rows, *_phases(world, {"mla"})]
 
 
 def _sensor(world: World) -> Rows:

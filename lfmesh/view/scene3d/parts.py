@@ -23,6 +23,7 @@ from lfmesh.transport.tables.tables import MlaTables
 from lfmesh.transport.world import World
 from lfmesh.view.scene3d import array_shape
 from lfmesh.view.scene3d.colours import tint
+from lfmesh.view.scene3d.describe import lone_diffractive
 from lfmesh.view.scene3d.outlines import outline_of_medium, outline_of_sheet
 from lfmesh.view.scene3d.ray_lines import line_segments
 
@@ -150,8 +151,9 @@ def _lens(world: World) -> Iterator[Part]:
         look = {"color": colour, "opacity": 0.14, "specular": 0.6, "specular_power": 30}
         yield Part(f"lens[{number}]", "glass", smooth(body), look, creases_of(body), colour, solid=body)
     surfaces = world.scene.camera.lens.surfaces
+    diffractive = lone_diffractive(world)
     for k, i in enumerate(shape.numbers):
-        if surfaces[i].paraxial:
+        if surfaces[i].paraxial or i in diffractive:
             body = polydata(frames.points(to_world, shape.caps[k].vertices), shape.caps[k].faces)
             rim = body.extract_feature_edges(feature_edges=False, manifold_edges=False)
             colour = tint(AS_THIN_LENS)

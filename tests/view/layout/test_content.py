@@ -414,3 +414,32 @@ def test_a_lens_of_mesh_files_is_drawn_in_section(tmp_path):
     truth = sag(prescription("plano_convex_25mm").surfaces[0], y)
     np.testing.assert_allclose(glass.front[:, 0], truth, atol=0.02)
     np.testing.assert_allclose(glass.back[:, 0], 7.0, atol=0.02)
+
+
+def diffractive(phase: dict) -> lf.Scene:
+    """A metalens in air behind the stop, without glass."""
+    surfaces = [{"stop": True, "thickness_mm": 2.0, "semi_diameter_mm": 2.0}, {"semi_diameter_mm": 6.0, "phase": phase}]
+    return lf.Scene(
+        camera={
+            "focus_mm": 1000.0, "lens": {"surfaces": surfaces}, "sensor": {"pixels": (60, 60), "pixel_mm": 0.02},
+        },
+        transport={"wavelengths_nm": (550.0,)},
+    )  # fmt: skip
+
+
+def test_a_diffractive_surface_is_drawn_with_its_order_and_rays_in_it(tmp_path):
+    """Several orders are drawn by the main one, and the drawing says so."""
+    metalens = {"kind": "metalens", "focal_length_mm": 20.0, "design_nm": 550.0}
+    one = layout(diffractive(metalens))
+    several = layout(diffractive({**metalens, "orders": [{"order": 0, "share": 0.4}, {"order": 1, "share": 0.5}]}))
+    (face,) = one.diffractive
+    assert (face.name, face.orders) == ("surface[1]", "order +1")
+    np.testing.assert_allclose(face.line[:, 0], 2.0)
+    assert several.diffractive[0].orders == "order +1 alone"
+    for drawn, other in zip(one.bundles, several.bundles, strict=True):
+        for ray, same in zip(drawn.rays, other.rays, strict=True):
+            np.testing.assert_allclose(ray.points, same.points, atol=1e-12)
+    # The axial bundle meets on the sensor.
+    ends = np.array([ray.points[-1, :2] for ray in one.bundles[0].rays])
+    np.testing.assert_allclose(ends, 0.0, atol=1e-3)
+    lf.draw(one.scene, tmp_path / "layout.svg")

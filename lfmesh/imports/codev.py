@@ -15,6 +15,19 @@ from pathlib import Path, PureWindowsPath
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.codev_commands import commands
+from lfmesh.imports.codev_tables import (
+    COEFFICIENTS,
+    FIELDS,
+    MIRRORS,
+    MOVES,
+    PRESSURES,
+    REFUSED,
+    RETURNS,
+    SURFACE_NAME,
+    TEMPERATURES_C,
+    UNITS_MM,
+    WITHOUT_EFFECT,
+)
 from lfmesh.imports.codev_zoom import ZoomPositions, zoom_word
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
@@ -23,52 +36,8 @@ from lfmesh.imports.lens_making import lens_of, note_focal_lengths, refuse_choic
 from lfmesh.imports.numbers import is_number, may_matter, number, numbers
 from lfmesh.imports.prescription import MOST_SURFACES, FileSurface, Prescription
 from lfmesh.imports.report import OTHER_AIR, Report, Verdict
-from lfmesh.imports.text import command_names, read_lines
+from lfmesh.imports.text import read_lines
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
-
-_UNITS_MM = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
-
-TEMPERATURES_C, PRESSURES = (20.0, 22.0), (1.0, 760.0)
-"""Standard conditions: catalogue temperatures in °C, and sea-level air pressure in atmospheres or mm of mercury."""
-
-MIRRORS = "mirrors are not supported: the lens refracts"
-
-COEFFICIENTS = "ABCDEFGHJ"
-"""Coefficients of r⁴, r⁶, ... r²⁰."""
-
-_WITHOUT_EFFECT = command_names(
-    "LEN GO CA INI WTW WTF SLB CCY THC CUM THM GLC KC AC BC CC DC EC FC GC HC JC DER CLS PIM CVS "
-    "ADC BDC CDC XDC YDC ZDC CPR POL SPH ORD AFI UM UMY HMY IMY"
-)
-"""Labels, weights, optimisation variables, solves (their present value is in the surface's line), drawing."""
-
-_REFUSED = {
-    **dict.fromkeys(["DIF", "HOR", "HWL", "HCT", "HCO", "HCC", "GRT", "GRO"], "diffractive surfaces are not supported"),
-    **dict.fromkeys(["XTO", "YTO", "CYL", "AAS", "RDX", "CUX", "KX", "KY"], "toroids and biconics are not supported"),
-    **dict.fromkeys(["SPS", "QBF", "QCN", "ODD", "XYP", "ZRN", "UDS"], "special surfaces are not supported"),
-    **dict.fromkeys(["GRN", "URN", "GRC"], "gradient indices are not supported"),
-    **dict.fromkeys(["REX", "REY"], "rectangular apertures are not supported"),
-    **dict.fromkeys(["ELX", "ELY"], "elliptical apertures are not supported"),
-    **dict.fromkeys(["ADX", "ADY"], "decentred apertures are not supported"),
-    **dict.fromkeys(["NSS", "ENS"], "non-sequential groups are not supported"),
-    "BEN": "an axis that bends at a mirror is not supported",
-    "GLB": "surfaces placed from any but the previous surface are not supported",
-    **dict.fromkeys(
-        ["INS", "DEL", "COP", "SCA", "FLI"], "commands that edit the lens are not run; save what they make"
-    ),
-}
-
-MOVES = ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE")
-"""Decentres of a surface: shifts along x, y and z, then rotations about its own x and y axes (left-handed) and z axis
-(right-handed), the convention of CODE V according to LightTools' manual."""
-
-_RETURNS = ("DAR", "REV")
-"""Decentres that return the axis. With DAR, they move only the surface; with REV, the surface stays and what follows is
-moved back, which undoes an earlier decentre of equal values. ray-optics does the same."""
-
-_SURFACE_NAME = re.compile(r"S(O|I|S|\d+)(\.\.\S+)?$")
-
-_FIELDS = {"AN": "angle", "OB": "object", "IM": "image", "RI": "image"}
 
 
 def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
@@ -129,7 +98,7 @@ class _Reader:
         self.moves: dict[int, dict[str, float]] = {}
         self.returns: dict[int, list[tuple[int, str]]] = {}
         self.doubts: dict[str, tuple[int, str, str]] = {}
-        self.zoom = ZoomPositions(report, _WITHOUT_EFFECT)
+        self.zoom = ZoomPositions(report, WITHOUT_EFFECT)
         self.at, self.text = 0, ""
 
     def take(self, at: int, words: list[str]) -> None:
@@ -141,23 +110,23 @@ class _Reader:
                 self._private_glass(command, words)
             elif (where := zoom_word(words)) is not None:
                 self.zoom.add_single(at, words, where)
-            elif _SURFACE_NAME.match(command) or command == "S":
+            elif SURFACE_NAME.match(command) or command == "S":
                 self._surface_line(command, rest)
             elif command in MOVES:
                 self._moved(command, rest)
-            elif command in _RETURNS:
+            elif command in RETURNS:
                 surface, _ = self._named(rest)
                 self.returns.setdefault(id(surface), []).append((at, self.text))
-            elif command[:1] in "XY" and command[1:] in _FIELDS and len(command) == 3:
-                self._of_fields(command[0].lower(), _FIELDS[command[1:]], rest)
+            elif command[:1] in "XY" and command[1:] in FIELDS and len(command) == 3:
+                self._of_fields(command[0].lower(), FIELDS[command[1:]], rest)
             elif command in ("VUY", "VLY"):
                 self._of_each_field(command.lower(), rest)
                 self._taken()
             elif command in COEFFICIENTS and len(command) == 1:
                 self._coefficient(COEFFICIENTS.index(command), rest)
-            elif command in _REFUSED:
+            elif command in REFUSED:
                 if any(map(may_matter, rest)) or not rest:
-                    self.report.refuse(at, self.text, _REFUSED[command])
+                    self.report.refuse(at, self.text, REFUSED[command])
             else:
                 self._other(command, rest)
         except (ValueError, IndexError) as error:
@@ -167,7 +136,7 @@ class _Reader:
         method: Callable[[list[str]], None] | None = getattr(self, f"_on_{command.lower()}", None)
         if method is not None:
             method(words)
-        elif command in _WITHOUT_EFFECT or command.startswith(("VUX", "VLX", "PIK")):
+        elif command in WITHOUT_EFFECT or command.startswith(("VUX", "VLX", "PIK")):
             self._without_effect()
         else:
             self.report.add(self.at, self.text, Verdict.UNKNOWN)
@@ -214,7 +183,7 @@ class _Reader:
 
     def _named(self, words: list[str]) -> tuple[FileSurface, list[str]]:
         """Return the surface to which a command refers, and the remaining words."""
-        if words and (found := _SURFACE_NAME.match(words[0].upper())):
+        if words and (found := SURFACE_NAME.match(words[0].upper())):
             place = found[1]
             if found[2] or place == "S":
                 raise ValueError("commands for several surfaces are not supported")
@@ -409,9 +378,9 @@ class _Reader:
 
     def _on_dim(self, words: list[str]) -> None:
         unit = words[0].upper()
-        if unit not in _UNITS_MM:
-            raise ValueError(f"unit {unit} is unknown; known are {', '.join(_UNITS_MM)}")
-        self.made.unit_mm = _UNITS_MM[unit]
+        if unit not in UNITS_MM:
+            raise ValueError(f"unit {unit} is unknown; known are {', '.join(UNITS_MM)}")
+        self.made.unit_mm = UNITS_MM[unit]
         self._taken()
 
     def _on_epd(self, words: list[str]) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
-from lfmesh.imports.codev import COEFFICIENTS, MOVES
+from lfmesh.imports.codev_tables import COEFFICIENTS, MOVES
 from lfmesh.imports.conditions import Conditions
 from lfmesh.imports.decentres import START, Move, move_of
 from lfmesh.imports.writing import check_writable, entrance_pupil_mm, maker_and_name, stop_radius_mm, table_of

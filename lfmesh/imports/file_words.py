@@ -15,7 +15,7 @@ _NOUNS = {
     "focal_length_mm": "focal length, mm",
 }
 
-_FAULT = re.compile(r"(?:Lens\.)?surfaces?(?:\[([0-9]+)\])?((?:\.\w+(?:\[[0-9]+\])?)*)", re.IGNORECASE)
+_FAULT = re.compile(r"(?:Lens\.)?surfaces?(?:\[([0-9]+)\])?((?:\.\w+(?:\[[0-9]+\])*)*)", re.IGNORECASE)
 
 
 def file_fault(said: str, kept: list[FileSurface], number: int | None = None) -> str:

@@ -101,17 +101,18 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     made = _merged(prescription, media, report)
     report.raise_refusals()
     bends = [here != before for before, here in pairwise([media[0], *made.media])]
-    if not any(bends) and all(surface.focal_length is None for surface in made.kept):
+    if not any(bends) and all(surface.focal_length is None and surface.phase is None for surface in made.kept):
         raise SceneError(f"{report.path}: holds no lens: all of its surfaces have the same medium on both sides")
     stop = _stop_of(made.kept)
     unit = prescription.unit_mm
+    made.thin_powers = [_thin_powers(i, made, prescription, report) for i in range(len(made.kept))]
     try:
         paraxial = Paraxial(
             curvatures=tuple(surface.vertex_curvature / unit for surface in made.kept),
             gaps_mm=tuple(made.gaps_mm),
             indices=tuple(refractive_index(medium, prescription.primary_nm) for medium in (media[0], *made.media)),
             stop=stop,
-            thin_powers=tuple(_thin_power(surface) / unit for surface in made.kept),
+            thin_powers=tuple(power for power, _ in made.thin_powers),
         )
     except GlassError as error:
         raise SceneError(f"{report.path}: {error}") from None
@@ -187,6 +188,7 @@ def _shape(surface: FileSurface, unit: float) -> dict[str, object]:
             terms.pop()
     values: dict[str, object] = {
         "radius_mm": shortest_radius(surface.curvature / unit),
+        "phase": surface.phase,
         "paraxial": surface.focal_length is not None,
         "focal_length_mm": None if surface.focal_length is None else surface.focal_length * unit,
         "conic": surface.conic,
@@ -224,9 +226,20 @@ def shortest_radius(curvature: float) -> float:
     return radius
 
 
-def _thin_power(surface: FileSurface) -> float:
-    """Return the power of a thin lens, in the reciprocal of the file's unit; 0 for other surfaces."""
-    return 0.0 if surface.focal_length is None else 1.0 / surface.focal_length
+def _thin_powers(number: int, made: KeptSurfaces, prescription: Prescription, report: Report) -> tuple[float, float]:
+    """Return the power of a thin lens or a phase in the sections y–z and x–z, 1/mm; 0 for other surfaces."""
+    surface = made.kept[number]
+    if surface.phase is None:
+        power = 0.0 if surface.focal_length is None else 1.0 / surface.focal_length / prescription.unit_mm
+        return power, power
+    try:
+        phase = Surface(phase=surface.phase).phase
+    except SceneError as error:
+        raise SceneError(f"{report.path}: {file_fault(str(error), made.kept, number)}") from None
+    if phase is None:
+        return 0.0, 0.0
+    nm = prescription.primary_nm
+    return phase.power_per_mm(nm), phase.power_per_mm(nm, section_x=True)
 
 
 def _count(prescription: Prescription) -> str:
@@ -276,6 +289,10 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
         if surface.curvature or any(surface.asphere) or any(surface.odd) or surface.forbes:
             how = f"the {name} is curved in the file; here it is flat"
             report.add(surface.line, surface.text or name, Verdict.APPROXIMATED, how)
+        if surface.phase is not None:
+            report.add(
+                surface.line, surface.text or name, Verdict.APPROXIMATED, f"the {name} has a phase; it is left out"
+            )
     inner = prescription.surfaces[1:-1]
     for surface in inner:
         if surface.focal_length is not None and not surface.focal_length * surface.focal_length > 0:
@@ -295,8 +312,8 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
     left_out = []
     numbers = []
     for i, surface in enumerate(inner, 1):
-        kept = surface.stop or surface.aperture is not None or media[i] != before or surface.focal_length is not None
-        if kept:
+        thin = surface.focal_length is not None or surface.phase is not None
+        if surface.stop or surface.aperture is not None or media[i] != before or thin:
             numbers.append(i)
             made.kept.append(surface)
             made.media.append(media[i])
@@ -341,7 +358,8 @@ def _move_stop(prescription: Prescription, media: list[Medium | None], report: R
     surfaces = prescription.surfaces
     k = next(k for k, surface in enumerate(surfaces) if surface.stop)
     plane = surfaces[k]
-    if plane.vertex_curvature or plane.focal_length is not None or any(plane.asphere) or media[k] != media[k - 1]:
+    thin = plane.focal_length is not None or plane.phase is not None
+    if plane.vertex_curvature or thin or any(plane.asphere) or media[k] != media[k - 1]:
         return
     after = k + 1
     while after < len(surfaces) - 1 and surfaces[after].is_break and not surfaces[after].thickness:
@@ -456,6 +474,9 @@ def _note(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, re
         report.notes.append(
             f"the image stands in the medium behind the last surface: index {paraxial.image_index:.10g}"
         )
+    phases = [f"{i} ({surface.phase['kind']})" for i, surface in enumerate(made.kept) if surface.phase is not None]
+    if phases:
+        report.notes.append(f"phases: {len(phases)}, of surface{'s' if len(phases) > 1 else ''} {', '.join(phases)}")
     points = ", ".join(f"{math.hypot(point.x, point.y):g}" for point in prescription.fields)
     if points:
         unit = "degrees" if prescription.field_kind == "angle" else f"file units on the {prescription.field_kind}"

@@ -6,6 +6,7 @@ from pathlib import Path
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import Medium
+from lfmesh.imports.phase_keys import PhaseKeys
 from lfmesh.imports.square_terms import SquareTerm, without_square
 from lfmesh.optics.glass import D_LINE_NM
 from lfmesh.scene.camera.lens import Element
@@ -62,6 +63,8 @@ class FileSurface:
     stop: bool = False
     coating: tuple[int, str, str | Path] | None = None
     """Line, text and name of its coating; or the path of a file that holds only this coating."""
+    phase: PhaseKeys | None = None
+    """Keys of its phase in a scene, lengths in mm."""
     focal_length: float | None = None
     """Focal length of a thin lens in place of the surface; NaN: not given."""
     is_break: bool = False
@@ -168,3 +171,5 @@ class KeptSurfaces:
     image_mm: float
     elements: list[Element] = field(default_factory=list)
     """Off-axis groups, by the numbers of their surfaces in `kept`."""
+    thin_powers: list[tuple[float, float]] = field(default_factory=list)
+    """Powers of thin lenses and phases in the sections y–z and x–z, 1/mm; 0 for other surfaces."""

@@ -7,6 +7,7 @@ from lfmesh.imports.decentres import Move
 from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import MOST_SURFACES, FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
+from lfmesh.imports.zemax_phases import ASPHERIC, READERS, PhaseLines, Value
 from lfmesh.imports.zemax_tables import (
     ASPHERES,
     BEFORE_EXTRA,
@@ -45,6 +46,8 @@ class SurfaceReader:
         self.drawn: list[tuple[int, str, FileSurface]] = []
         self.distance_line = 0, ""
         self.extra: dict[int, tuple[int, str, float]] = {}
+        self.phases: dict[int, PhaseLines] = {}
+        """By the number of the following surface."""
 
     def end_surfaces(self) -> None:
         """Complete the surfaces with values that depend on the whole file."""
@@ -53,6 +56,11 @@ class SurfaceReader:
             self.distance_line = 0, ""
         self._end_surface()
         self._end_drawn()
+        refused = [line.number for line in self.report.of(Verdict.REFUSED)]
+        for following, lines in self.phases.items():
+            end = self.made.surfaces[following].line if following < len(self.made.surfaces) else math.inf
+            if not any(lines.at < number < end for number in refused):
+                lines.take(self.made.unit_mm, self.report)
 
     def _end_drawn(self) -> None:
         """Report which semi-diameters are used: a pupil or clear aperture makes them drawing sizes only."""
@@ -103,9 +111,13 @@ class SurfaceReader:
             self._end_extra()
 
     def _on_type(self, words: list[str]) -> None:
-        self.kind = words[0].upper()
-        self._surface.is_break = self.kind == "COORDBRK"
-        if self.kind in ("STANDARD", "COORDBRK", FORBES, *ASPHERES):
+        surface, self.kind = self._surface, words[0].upper()
+        surface.is_break = self.kind == "COORDBRK"
+        self.phases.pop(len(self.made.surfaces), None)
+        if self.kind in READERS:
+            # Its verdict and those on its lines depend on all of them.
+            self.phases[len(self.made.surfaces)] = PhaseLines(self.kind, surface, self.at, self.text)
+        elif self.kind in ("STANDARD", "COORDBRK", FORBES, *ASPHERES):
             self._taken()
         elif self.kind in SECTIONS:
             self._surface.section = SECTIONS[self.kind]
@@ -115,7 +127,8 @@ class SurfaceReader:
             self._taken("a thin lens")
         else:
             why = REFUSED_TYPES.get(self.kind, f"surfaces of type {self.kind} are not supported")
-            self._refuse(f"{why}; STANDARD, {', '.join((*ASPHERES, *SECTIONS, FORBES))} and PARAXIAL are")
+            supported = ", ".join((*ASPHERES, *SECTIONS, FORBES, *READERS))
+            self._refuse(f"{why}; STANDARD, {supported} and PARAXIAL are")
 
     def _on_stop(self, _: list[str]) -> None:
         self._surface.stop = True
@@ -164,12 +177,14 @@ class SurfaceReader:
 
     def _on_parm(self, words: list[str]) -> None:
         place, value = int(number(words[0])), number(words[1])
-        if not value:
+        if self.kind in READERS and not (self.kind in ASPHERIC and 1 <= place <= 8):
+            self._put(place, value)
+        elif not value:
             self._taken()
         elif self.kind in FIRST_TERM and place > BEFORE_EXTRA:
             # Later versions store extra data among the parameters.
             self._on_xdat([str(place - BEFORE_EXTRA), words[1]])
-        elif self.kind == "EVENASPH" and 1 <= place <= 8:
+        elif self.kind in ("EVENASPH", *ASPHERIC) and 1 <= place <= 8:
             self._add_term(2 * place, value)
         elif self.kind == "ODDASPHE" and 1 <= place <= 8:
             self._add_term(place, value)
@@ -197,6 +212,14 @@ class SurfaceReader:
             self._without_effect()
         # Parameters of a refused type are covered by its refusal.
 
+    def _put(self, place: int, value: float, extra: bool = False) -> None:
+        """Keep a number of a phase surface; later versions store extra data among the parameters."""
+        lines = self.phases[len(self.made.surfaces)]
+        if place > BEFORE_EXTRA and not extra:
+            place, extra = place - BEFORE_EXTRA, True
+        values = lines.extra if extra else lines.parameters
+        values[place] = Value(self.at, self.text, value)
+
     def _add_term(self, power: int, value: float) -> None:
         """Add a term in a power of r to the sag."""
         if not math.isfinite(value):
@@ -211,7 +234,9 @@ class SurfaceReader:
 
     def _on_xdat(self, words: list[str]) -> None:
         place, value = int(number(words[0])), number(words[1])
-        if self.kind in FIRST_TERM:
+        if self.kind in READERS:
+            self._put(place, value, extra=True)
+        elif self.kind in FIRST_TERM:
             # Its meaning depends on the number of terms, known at the surface's end.
             self.extra[place] = self.at, self.text, value
         elif not value:

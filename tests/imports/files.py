@@ -127,3 +127,124 @@ SURF 8
   DISZ 0
 """
 """A Zemax file with former names, a glass code, a stop plane in a vertex, a wide aperture and late parameters."""
+
+PHASES_ZMX = """\
+MODE SEQ
+UNIT MM
+ENPD 8
+GCAT SCHOTT
+FTYP 0 0 1 1 0 0 0
+YFLN 0
+WAVM 1 0.55 1
+PWAV 1
+SURF 0
+  TYPE STANDARD
+  DISZ INFINITY
+SURF 1
+  STOP
+  TYPE BINARY_2
+  CURV 0.03
+  CONI -0.5
+  PARM 0 1
+  PARM 2 1e-6
+  XDAT 1 2 0 0
+  XDAT 2 5 0 0
+  XDAT 3 -120.5 0 0
+  XDAT 4 12.25 0 0
+  DISZ 4
+  GLAS N-BK7 0 0 1.5 40
+  DIAM 5
+SURF 2
+  TYPE BINARY_1
+  CURV -0.01
+  PARM 0 2
+  PARM 3 -2e-9
+  PARM 13 5
+  PARM 14 6
+  PARM 15 0.5
+  PARM 18 1.25
+  PARM 19 -3
+  DISZ 3
+  DIAM 6
+SURF 3
+  TYPE DGRATING
+  PARM 1 0.002
+  PARM 2 -1
+  DISZ 2
+  DIAM 6
+SURF 4
+  TYPE FZERNPHA
+  PARM 0 1
+  XDAT 1 8 0 0
+  XDAT 2 6.5 0 0
+  XDAT 6 0.75 0 0
+  XDAT 10 0.25 0 0
+  DISZ 2
+  DIAM 6
+SURF 5
+  TYPE HOLOGRM2
+  PARM 1 0.5
+  PARM 2 0.25
+  PARM 3 -800
+  PARM 4 0.75
+  PARM 5 -0.5
+  PARM 6 400
+  PARM 7 0.55
+  PARM 8 1
+  DISZ 30
+  DIAM 6
+SURF 6
+  TYPE STANDARD
+  DISZ 0
+"""
+"""A Zemax file with a phase on each surface, extra data in both forms."""
+
+PHASES_SEQ = """\
+RDM
+EPD 8.0
+DIM M
+WL 587.6
+REF 1
+YAN 0.0
+SO 0.0 0.1e14
+S 40.0 4.0 NBK7_SCHOTT
+  STO
+  CIR 5.0
+  K -0.5
+  DIF DOE
+  HOR 1.0
+  HWL 587.6; HCT R
+  HCO C1 -0.001; HCC C1 0
+  HCO C2 2e-6
+S -90.0 3.0
+  CIR 6.0
+  DIF DOE
+  HOR -1
+  HWL 600.0
+  HCT XY
+  HCO C2 1e-5
+  HCO C4 -2e-5
+S 0.0 2.0
+  CIR 6.0
+  DIF GRT
+  GRO 1
+  GRS 0.5
+  GRX 0.6
+  GRY 0.8
+S 0.0 40.0
+  CIR 6.0
+  DIF HOE
+  HOR 1
+  HWL 532.0
+  HV1 REA
+  HX1 0.5
+  HY1 0.25
+  HZ1 -800.0
+  HV2 VIR
+  HX2 0.75
+  HY2 -0.5
+  HZ2 400.0
+SI 0.0 0.0
+GO
+"""
+"""A CODE V file with a phase on each surface."""

@@ -15,6 +15,7 @@ from pathlib import Path, PureWindowsPath
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.codev_commands import commands
+from lfmesh.imports.codev_phases import COMMANDS, DiffractiveSurfaces
 from lfmesh.imports.codev_tables import (
     COEFFICIENTS,
     FIELDS,
@@ -99,6 +100,7 @@ class _Reader:
         self.returns: dict[int, list[tuple[int, str]]] = {}
         self.doubts: dict[str, tuple[int, str, str]] = {}
         self.zoom = ZoomPositions(report, WITHOUT_EFFECT)
+        self.diffractive = DiffractiveSurfaces(report)
         self.at, self.text = 0, ""
 
     def take(self, at: int, words: list[str]) -> None:
@@ -124,6 +126,10 @@ class _Reader:
                 self._taken()
             elif command in COEFFICIENTS and len(command) == 1:
                 self._coefficient(COEFFICIENTS.index(command), rest)
+            elif command in COMMANDS:
+                # Its verdict depends on the other commands of the surface.
+                surface, others = self._named(rest)
+                self.diffractive.take(surface, command, others, (at, self.text))
             elif command in REFUSED:
                 if any(map(may_matter, rest)) or not rest:
                     self.report.refuse(at, self.text, REFUSED[command])
@@ -154,6 +160,7 @@ class _Reader:
             self.report.add(first.line, "S", Verdict.APPROXIMATED, how)
         for surface in made.surfaces:
             self._move(surface)
+        self.diffractive.finish(made.unit_mm)
         for name, (at, text, how) in self.doubts.items():
             if any(surface.glass == name for surface in made.surfaces):
                 self.report.add(at, text, Verdict.APPROXIMATED, how)

@@ -15,13 +15,12 @@ COEFFICIENTS = "ABCDEFGHJ"
 """Coefficients of r⁴, r⁶, ... r²⁰."""
 
 WITHOUT_EFFECT = command_names(
-    "LEN GO CA INI WTW WTF SLB CCY THC CUM THM GLC KC AC BC CC DC EC FC GC HC JC DER CLS PIM CVS "
+    "LEN GO CA INI WTW WTF SLB CCY THC CUM THM GLC KC AC BC CC DC EC FC GC HC JC DER CLS PIM CVS HCC "
     "ADC BDC CDC XDC YDC ZDC CPR POL SPH ORD AFI UM UMY HMY IMY"
 )
 """Labels, weights, optimisation variables, solves (their present value is in the surface's line), drawing."""
 
 REFUSED = {
-    **dict.fromkeys(["DIF", "HOR", "HWL", "HCT", "HCO", "HCC", "GRT", "GRO"], "diffractive surfaces are not supported"),
     **dict.fromkeys(["XTO", "YTO", "CYL", "AAS", "RDX", "CUX", "KX", "KY"], "toroids and biconics are not supported"),
     **dict.fromkeys(["SPS", "QBF", "QCN", "ODD", "XYP", "ZRN", "UDS"], "special surfaces are not supported"),
     **dict.fromkeys(["GRN", "URN", "GRC"], "gradient indices are not supported"),

@@ -106,7 +106,7 @@ def test_a_fictitious_glass_is_the_normal_one_of_its_nd_and_vd():
         ("NBK7_SCHOTT", "SK19_SCHOTT", "not in the catalogue"),
         ("  CIR 6.25", "  CIR OBS 2.0", "obscurations and holes"),
         ("  CIR 6.25", "  ADE 5.0", "the axis is not restored"),
-        ("  CIR 6.25", "  DIF DOE", "diffractive"),
+        ("  CIR 6.25", "  DIF KIN", "diffractive surfaces of kind KIN are not supported"),
         ("  CIR 6.25", "  XTO", "toroids"),
         ("  CIR 6.25", "  REX 3.0; REY 4.0", "rectangular apertures"),
         ("  CIR 6.25", "  RET S9", "RET S9: there is no surface 9"),

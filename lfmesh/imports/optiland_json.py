@@ -7,6 +7,7 @@ it. Lengths are mm, wavelengths µm. Unrecognised, non-empty properties of a sur
 
 import json
 import math
+import sys
 from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 from lfmesh.errors import SceneError
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.lens_making import lens_of, refuse_choices
+from lfmesh.imports.optiland_phases import GRATING_MODEL, GRATINGS, MODEL, groove_phase, profile_phase
 from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import read_lines
@@ -28,17 +30,18 @@ _FIELDS = {
     **dict.fromkeys(("paraxial_image_height", "ParaxialImageHeightField"), "image"),
     **dict.fromkeys(("real_image_height", "RealImageHeightField"), "image"),
 }
-_FIRST_POWER = {"Plane": 0, "StandardGeometry": 0, "EvenAsphere": 2, "OddAsphere": 1}
+_FIRST_POWER = {"Plane": 0, "StandardGeometry": 0, "EvenAsphere": 2, "OddAsphere": 1, **dict.fromkeys(GRATINGS, 0)}
 """Supported kinds of surface, with the power of r of their first coefficient; 0 means no coefficients."""
 _TOLERANCES = ("tol", "max_iter")
 _KNOWN = {
-    "geometry": ("type", "cs", "radius", "conic", "coefficients", *_TOLERANCES),
+    "geometry": ("type", "cs", "radius", "conic", "coefficients", "period", "angle", "order", *_TOLERANCES),
     "surface": (
         *("type", "thickness", "geometry", "material_pre", "material_post", "is_stop", "aperture", "comment"),
         *("interaction_model", "coating", "bsdf", "is_reflective", "surface_type"),
     ),
     "file": ("version", "name", "aperture", "fields", "wavelengths", "surface_group"),
 }
+_INTERACTIONS = ("RefractiveReflectiveModel", MODEL, GRATING_MODEL, "Surface", "ObjectSurface", "ImageSurface", "")
 _WITHOUT_EFFECT = ("ray_tracer", "pickups", "solves")
 """Keys about aiming and optimisation, which are ignored: the surfaces hold the present values."""
 
@@ -106,6 +109,8 @@ class _Reader:
     @staticmethod
     def _number(entry: Mapping[str, Any], key: str, infinite: bool = False) -> float:
         value = _held(entry, key, int | float)
+        if abs(value) > sys.float_info.max and isinstance(value, int):
+            raise ValueError(f"{key} = {str(value)[:30]}... exceeds the range of numbers")
         if math.isnan(value):
             raise ValueError(f"{key} = NaN is not a number")
         if not infinite and math.isinf(value):
@@ -137,6 +142,12 @@ class _Reader:
         # Versions before 0.4 describe the interaction on the surface itself.
         model = entry if entry.get("interaction_model") is None else _held(entry, "interaction_model", dict)
         self._interaction(surface, model, where)
+        if model.get("type") == MODEL:
+            surface.phase, efficiency = profile_phase(_held(model, "phase_profile", dict))
+            if surface.phase is not None and efficiency < 1.0:
+                surface.phase["efficiency"] = efficiency
+        elif model.get("type") == GRATING_MODEL:
+            surface.phase = groove_phase(shape)
         return self._number(_held(shape, "cs", dict), "z", infinite=True)
 
     def _shape(self, surface: FileSurface, shape: Mapping[str, Any]) -> None:
@@ -188,7 +199,7 @@ class _Reader:
             surface.focal_length = self._number(model, "focal_length")
         elif kind == "ParaxialSurface":
             surface.focal_length = self._number(model, "f")
-        elif kind not in ("RefractiveReflectiveModel", "Surface", "ObjectSurface", "ImageSurface", ""):
+        elif kind not in _INTERACTIONS:
             raise ValueError(f"surfaces with a {kind} are not read")
 
     def _aperture(self, made: Prescription, entry: Mapping[str, Any]) -> None:

@@ -3,6 +3,7 @@
 import codecs
 import functools
 import io
+import json
 import re
 import tempfile
 import warnings
@@ -36,7 +37,8 @@ from lfmesh.study.fits.board_files import read_corners
 from lfmesh.study.optimise.optimise import load_design
 from tests.cameras import bench_camera
 from tests.fuzz.test_meshes import damaged, damages, kept
-from tests.imports.files import CROWDED_ZMX
+from tests.imports.files import CROWDED_ZMX, PHASES_SEQ, PHASES_ZMX
+from tests.imports.test_optiland_phases import PHASES as OPTILAND_PHASES
 
 SCENE = bench_camera(4, 4) + (
     '[[targets]]\nshape = { kind = "plane", width_mm = 6.0, height_mm = 6.0 }\nposition_mm = [0.0, 0.0, -500.0]\n'
@@ -287,6 +289,9 @@ TEXTS: dict[str, Callable[[], Kind]] = {
     "zmx": lambda: Kind("zmx", as_lens("zmx"), lens),
     "seq": lambda: Kind("seq", as_lens("seq"), lens),
     "crowded zmx": lambda: Kind("zmx", CROWDED_ZMX.encode(), lens),
+    "phases zmx": lambda: Kind("zmx", PHASES_ZMX.encode(), lens),
+    "phases seq": lambda: Kind("seq", PHASES_SEQ.encode(), lens),
+    "phases optiland": lambda: Kind("json", json.dumps(OPTILAND_PHASES, indent=1).encode(), lens),
     "calibration": lambda: Kind("json", calibration(), read_calibration),
     "vti": lambda: Kind("vti", by_writing("vti", vti), read_voxels),
 }
@@ -301,7 +306,8 @@ BINARIES: dict[str, Callable[[], Kind]] = {
 }
 
 
-WITH_SCENES = ("study", "filling study", "dataset", "design", "lens", "zmx", "seq", "crowded zmx")
+PHASES = ("phases zmx", "phases seq", "phases optiland")
+WITH_SCENES = ("study", "filling study", "dataset", "design", "lens", "zmx", "seq", "crowded zmx", *PHASES)
 """What names a scene, or is part of one: all faults are said at once."""
 
 

@@ -113,3 +113,31 @@ def test_optiland_reads_what_is_written(tmp_path: Path, of: str | int) -> None:
         surface.geometry.tol = 1e-12
     assert Paraxial.of(lens, D_LINE_NM).efl_mm == pytest.approx(float(np.squeeze(optic.paraxial.f2())), rel=1e-10)
     assert_rays_agree(optic, lens, D_LINE_NM)
+
+
+def test_rays_land_where_optilands_phases_land_them(tmp_path: Path) -> None:
+    """A radial phase and a linear one in air, and a plane grating, behind a lens."""
+    from optiland.fileio import save_optiland_file
+    from optiland.materials import IdealMaterial
+    from optiland.phase import LinearGratingPhaseProfile, RadialPhaseProfile
+
+    optic = optic_part.Optic()
+    add = optic.surfaces.add
+    add(index=0, thickness=np.inf)
+    add(index=1, thickness=4, radius=40, is_stop=True, material=IdealMaterial(1.5168))
+    add(index=2, thickness=3, radius=-60)
+    add(index=3, thickness=2, phase_profile=RadialPhaseProfile([-3.0, 2e-3]))
+    add(index=4, thickness=2, phase_profile=LinearGratingPhaseProfile(period=0.2, angle=0.7, order=-2))
+    add(
+        index=5, thickness=20, surface_type="grating", grating_order=1, grating_period=100.0,
+        groove_orientation_angle=0.4,
+    )  # fmt: skip
+    add(index=6)
+    optic.set_aperture("EPD", 8.0)
+    optic.fields.set_type("angle")
+    optic.fields.add(y=0)
+    optic.wavelengths.add(WAVELENGTH_UM, is_primary=True)
+    save_optiland_file(optic, str(tmp_path / "lens.json"))
+    lens, _ = read_lens_file(tmp_path / "lens.json")
+    assert [surface.phase is not None for surface in lens.surfaces] == [False, False, True, True, True]
+    assert_rays_agree(optic, lens, 1e3 * WAVELENGTH_UM)

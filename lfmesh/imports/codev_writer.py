@@ -8,6 +8,7 @@ from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.codev_tables import COEFFICIENTS, MOVES
 from lfmesh.imports.conditions import Conditions
 from lfmesh.imports.decentres import START, Move, move_of
+from lfmesh.imports.phase_writer import codev_lines
 from lfmesh.imports.writing import check_writable, entrance_pupil_mm, maker_and_name, stop_radius_mm, table_of
 from lfmesh.optics.glass import Medium
 from lfmesh.scene.camera.lens import Lens, Surface
@@ -61,6 +62,8 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
         radius_mm = 0.0 if math.isinf(surface.vertex_radius_mm) else surface.vertex_radius_mm
         lines.append(f"S {radius_mm!r} {behind!r}{_named(medium, private)}")
         lines += _qualified(i, surface, radius if surface.stop else surface.semi_diameter_mm)
+        if surface.phase is not None:
+            lines += codev_lines(i, surface.phase, primary_nm)
         lines += _moved(lens, i)
     return {path: "\r\n".join([*lines, "SI 0.0 0.0", "GO", ""]).encode()}, notes
 

@@ -2,6 +2,7 @@
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.coating_writer import coating_names
+from lfmesh.imports.phase_writer import check_phase
 from lfmesh.imports.zemax_tables import SECTIONS
 from lfmesh.optics.glass import D_LINE_NM, find_glass, glass_name
 from lfmesh.scene.camera.lens import Lens
@@ -29,9 +30,14 @@ def check_writable(lens: Lens, program: str) -> list[str]:
             raise SceneError(f"surfaces[{i}].{form}: not written to {program} files{other}")
         if surface.refractor is not None or surface.mesh is not None:
             raise SceneError(f"surfaces[{i}]: a mesh cannot be written as a {program} surface")
+        if surface.phase is not None:
+            check_phase(i, surface.phase, program)
     held = {UNCOATED, *(coating_names(lens) if program == ZEMAX else ())}
     coated = [str(i) for i, surface in enumerate(lens.surfaces) if surface.coating not in held]
-    return [f"coatings of surfaces {', '.join(coated)} are not in the file"] if coated else []
+    phases = {i: surface.phase for i, surface in enumerate(lens.surfaces) if surface.phase is not None}
+    lossy = [str(i) for i, phase in phases.items() if phase.efficiency != "ideal" or phase.orders]
+    notes = [f"coatings of surfaces {', '.join(coated)} are not in the file"] if coated else []
+    return notes + ([f"efficiencies of the phases of surfaces {', '.join(lossy)} are not in the file"] if lossy else [])
 
 
 PRIVATE_NM = (

@@ -10,15 +10,13 @@ from lfmesh.imports.coating_writer import coating_file, coating_names
 from lfmesh.imports.conditions import Conditions
 from lfmesh.imports.decentres import move_of
 from lfmesh.imports.glasses import named_glass
+from lfmesh.imports.phase_writer import MOST_EVEN_TERMS, zemax_lines
 from lfmesh.imports.writing import ZEMAX, check_writable, curvature, maker_and_name, stop_radius_mm
 from lfmesh.optics.glass import AIR, glass_name
 from lfmesh.scene.camera.lens import Lens, Surface
 from lfmesh.scene.materials.matter import Matter
 from lfmesh.scene.materials.own_glass import OwnGlass
 from lfmesh.scene.pose import Pose
-
-_MOST_TERMS = 7
-"""Even aspheres have the powers r⁴ to r¹⁶; longer ones are written as extended aspheres."""
 
 _MOST_OF_TOROID = 6
 """Toroids have the powers y² to y¹⁴."""
@@ -83,6 +81,8 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
     for number, row in enumerate(rows):
         distance = "INFINITY" if math.isinf(row.distance) else repr(row.distance)
         lines += [f"SURF {number}", *row.lines, f"  DISZ {distance}"]
+    if any("  TYPE HOLOGRM1" in row.lines for row in rows):
+        notes.append("HOLOGRM1: the sign of its order is assumed to be that of HOLOGRM2; check it in OpticStudio")
     files[path] = ("\ufeff" + "\r\n".join([*lines, "MNUM 1 1", ""])).encode("utf-16-le")
     return files, notes
 
@@ -185,7 +185,8 @@ def _terms(terms_mm: Sequence[float]) -> list[str]:
     if not terms_mm:
         return ["  TYPE STANDARD"]
     with_square = (0.0, *terms_mm)
-    if len(terms_mm) <= _MOST_TERMS:
+    # Longer even aspheres are written as extended ones.
+    if len(terms_mm) <= MOST_EVEN_TERMS:
         return ["  TYPE EVENASPH", *(f"  PARM {place} {value!r}" for place, value in enumerate(with_square, 1))]
     # The normalisation radius is 1 mm.
     extended = (len(with_square), 1.0, *with_square)
@@ -194,6 +195,8 @@ def _terms(terms_mm: Sequence[float]) -> list[str]:
 
 def _shape(number: int, surface: Surface) -> list[str]:
     """Return the type of a surface and its parameters."""
+    if surface.phase is not None:
+        return zemax_lines(number, surface)
     if surface.biconic is not None:
         section = surface.biconic
         return ["  TYPE BICONICX", f"  PARM 1 {_of_flat(section.radius_x_mm)!r}", f"  PARM 2 {section.conic_x!r}"]

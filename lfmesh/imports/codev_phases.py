@@ -5,7 +5,8 @@
   tests of ray-optics, has its focal length of 15 mm and its back focal length with these signs.
 - HOE: the same polynomial, or two construction points, (2π/HWL) HOR (±d₂ ∓ d₁): upper signs for points HV1 REA and
   HV2 REA, which light diverges from, lower ones for VIR, which light converges to. Zemax's converter (CODE V to
-  OpticStudio) makes HOLOGRM1 and HOLOGRM2 of them with the same points and order, which sets the sign of HOR.
+  OpticStudio) makes HOLOGRM1 and HOLOGRM2 of them with the same points and order, which sets the sign of HOR. With
+  points, the surface must be flat, since a scene's phase does not depend on z.
 - GRT: 2π GRO y/GRS, or along (GRX, GRY), the normal of the planes that generate the grooves, in the words of KDP-2 and
   ray-optics. Zemax's converter makes DGRATING of it with the same order, which sets the sign of GRO.
 """
@@ -16,7 +17,7 @@ from dataclasses import dataclass, field
 
 from lfmesh.imports import phase_keys
 from lfmesh.imports.numbers import may_matter, number
-from lfmesh.imports.phase_keys import PhaseKeys, Point, whole_order
+from lfmesh.imports.phase_keys import CURVED_HOLOGRAM, PhaseKeys, Point, whole_order
 from lfmesh.imports.prescription import FileSurface
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names
@@ -201,6 +202,8 @@ def _diffractive(made: _Diffractive, unit_mm: float) -> PhaseKeys | None:
     apart = points[0] != points[1] or virtual[0] != virtual[1]
     if apart and (terms or made.kind == "DOE"):
         raise ValueError("construction points beside a polynomial are not supported")
+    if apart and not made.surface.is_flat:
+        raise ValueError(CURVED_HOLOGRAM)
     if apart:
         return phase_keys.hologram(points, virtual, design_nm, order)
     if made.kind == "HOE" and not terms:

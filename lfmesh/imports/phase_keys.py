@@ -9,6 +9,8 @@ from lfmesh.scene.camera.orders import MOST_ORDER
 PhaseKeys = dict[str, Any]
 Point = tuple[float, float, float]
 
+CURVED_HOLOGRAM = "a hologram on a curved surface is not supported: its phase depends on z"
+
 _FAR_MM = 1e12
 """Distance of construction points of plane waves; files write 1e10 to 1e18."""
 

@@ -17,20 +17,29 @@ MOST_EVEN_TERMS = 7
 Powers = Mapping[tuple[int, int], float]
 
 
-def check_phase(number: int, phase: AnyPhase, program: str) -> None:
-    """Raise a SceneError if a program's files cannot hold a phase.
+def check_phase(number: int, surface: Surface, program: str) -> None:
+    """Raise a SceneError if a program's files cannot hold the phase of a surface.
 
     Parameters
     ----------
     number : int
-        Number of its surface.
-    phase : AnyPhase
+        Number of the surface.
+    surface : Surface
+        One with a phase.
     program : str
         Name of the program.
     """
+    phase = surface.phase
+    if phase is None:
+        return
     if not isinstance(phase, RadialPhase | XyPhase | GratingPhase | HologramPhase):
         raise SceneError(
             f"surfaces[{number}].phase: a {program} file cannot hold a phase of kind {phase.kind}; write .toml"
+        )
+    if isinstance(phase, HologramPhase) and not surface.is_flat:
+        raise SceneError(
+            f"surfaces[{number}].phase: a {program} file cannot hold the phase of a hologram on a curved surface; "
+            "write .toml"
         )
     if not phase.has_one_order:
         raise SceneError(f"surfaces[{number}].phase: a {program} file holds one order of a phase; write .toml")
@@ -57,7 +66,7 @@ def zemax_lines(number: int, surface: Surface) -> list[str]:
             f"surfaces[{number}].{key}: Zemax's surfaces with a phase are spheres, conics or even aspheres"
         )
     if isinstance(phase, HologramPhase):
-        return _zemax_hologram(number, surface, phase)
+        return _zemax_hologram(phase)
     if isinstance(phase, GratingPhase) and not surface.terms_mm and phase.direction_deg % 180.0 == 90.0:
         order = phase.main_order if phase.direction_deg % 360.0 == 90.0 else -phase.main_order
         return ["  TYPE DGRATING", f"  PARM 1 {phase.lines_per_mm / 1e3!r}", f"  PARM 2 {order}"]
@@ -91,9 +100,7 @@ def _binary(
     ]
 
 
-def _zemax_hologram(number: int, surface: Surface, phase: HologramPhase) -> list[str]:
-    if surface.terms_mm:
-        raise SceneError(f"surfaces[{number}].{surface.terms_key}: Zemax's holograms are spheres and conics")
+def _zemax_hologram(phase: HologramPhase) -> list[str]:
     # Zemax's first wave diverges. The opposite phase has the opposite order.
     order = phase.main_order if phase.point_1 == "real" else -phase.main_order
     values = (*phase.point_1_mm, *phase.point_2_mm, micrometres(phase.construction_nm), order)

@@ -77,6 +77,12 @@ class FileSurface:
     """Number of an earlier surface in whose frame its thickness counts instead of its own; 0 is the object."""
 
     @property
+    def is_flat(self) -> bool:
+        """True for a plane."""
+        terms = (self.curvature, self.curvature_x, self.square, *self.asphere, *self.odd)
+        return not any(terms) and self.forbes is None
+
+    @property
     def vertex_curvature(self) -> float:
         """Curvature at the vertex, including the contribution of Forbes' mild terms."""
         if self.forbes is None or self.forbes[0] != "qbfs":

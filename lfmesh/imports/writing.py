@@ -30,8 +30,7 @@ def check_writable(lens: Lens, program: str) -> list[str]:
             raise SceneError(f"surfaces[{i}].{form}: not written to {program} files{other}")
         if surface.refractor is not None or surface.mesh is not None:
             raise SceneError(f"surfaces[{i}]: a mesh cannot be written as a {program} surface")
-        if surface.phase is not None:
-            check_phase(i, surface.phase, program)
+        check_phase(i, surface, program)
     held = {UNCOATED, *(coating_names(lens) if program == ZEMAX else ())}
     coated = [str(i) for i, surface in enumerate(lens.surfaces) if surface.coating not in held]
     phases = {i: surface.phase for i, surface in enumerate(lens.surfaces) if surface.phase is not None}

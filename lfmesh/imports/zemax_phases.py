@@ -14,7 +14,8 @@ converges. The radii that OpticStudio's samples store for their images confirm e
 - HOLOGRM1: (2π/λ_c) m (d₂ − d₁), the same with light from point 2. The help, 24.2, "Hologram 1", leaves the direction
   of its unit vectors along the beams open, so the sign of m is taken from HOLOGRM2.
 
-Binary optics are even aspheres, the others spheres and conics. Extra data hold the number of terms, the radius R and
+Binary optics are even aspheres, gratings and Zernike phases spheres and conics. A hologram must be flat, since a
+scene's phase does not depend on z. Extra data hold the number of terms, the radius R and
 the coefficients.
 """
 
@@ -25,7 +26,7 @@ from typing import NamedTuple
 
 from lfmesh.imports import phase_keys
 from lfmesh.imports.numbers import nanometres
-from lfmesh.imports.phase_keys import PhaseKeys, whole_order
+from lfmesh.imports.phase_keys import CURVED_HOLOGRAM, PhaseKeys, whole_order
 from lfmesh.imports.prescription import FileSurface
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.xy_terms import MOST_FRINGE_TERMS, fringe_terms, powers_of
@@ -273,6 +274,8 @@ def _zernike(lines: PhaseLines, unit_mm: float) -> PhaseKeys | None:
 def _hologram(lines: PhaseLines, unit_mm: float) -> PhaseKeys | None:
     """Return the phase of a hologram: points in parameters 1 to 6, wavelength in µm in 7, and order in 8."""
     lines.only(range(1, 9))
+    if not lines.surface.is_flat:
+        raise lines.error(CURVED_HOLOGRAM)
     wavelength = lines.needed(7, "the construction wavelength")
     if not wavelength.number > 0.0:
         why = "the construction wavelength must be above 0; below 0 it marks a hologram that was made into a mirror"

@@ -18,6 +18,10 @@ def with_lines(*lines, unit="M"):
     return text.replace("DIM M", f"DIM {unit}")
 
 
+def flat_with_lines(*lines):
+    return with_lines(*lines).replace("S -80.0 &", "S 0.0 &").replace("; A 1e-6; B -2e-9", "")
+
+
 def phase_of(*lines, unit="M"):
     return lens_of(with_lines(*lines, unit=unit)).surfaces[1].phase
 
@@ -59,7 +63,7 @@ POINTS = ("HX1 1", "HY1 -2", "HZ1 -200", "HX2 3", "HY2 0.5", "HZ2 100")
 
 @pytest.mark.parametrize("kinds", [("REA", "REA"), ("REA", "VIR"), ("VIR", "REA"), ("VIR", "VIR")])
 def test_a_hologram_turns_light_of_its_first_point_into_that_of_its_second(kinds):
-    text = with_lines("DIF HOE", "HOR 1", "HWL 600", f"HV1 {kinds[0]}; HV2 {kinds[1]}", *POINTS)
+    text = flat_with_lines("DIF HOE", "HOR 1", "HWL 600", f"HV1 {kinds[0]}; HV2 {kinds[1]}", *POINTS)
     phase = lens_of(text).surfaces[1].phase
     assert isinstance(phase, HologramPhase)
     assert (phase.point_1_mm, phase.point_2_mm) == ((1.0, -2.0, -200.0), (3.0, 0.5, 100.0))
@@ -116,7 +120,7 @@ def test_a_zoom_position_may_have_an_order_of_its_own():
         ([*DOE, "HCT R", "HTO ASP"], "DIF DOE", "HTO ASP is not supported"),
         ([*DOE, "HCT R", "GRO 1"], "DIF DOE", "GRO does not belong to DIF DOE"),
         (["DIF HOE", "HOR 1", "HWL 500", "HV1 X", "HZ2 100"], "DIF HOE", "X is unknown; REA and VIR are known"),
-        (["DIF HOE", "HOR 1", "HWL 500", "HZ2 100"], "DIF HOE", "must not lie in the vertex plane"),
+        (["DIF HOE", "HOR 1", "HWL 500", "HZ2 100"], "DIF HOE", "a hologram on a curved surface"),
         (["DIF GRT", "GRO 1"], "DIF GRT", "GRT needs GRS"),
         (["DIF GRT", "GRS 1"], "DIF GRT", "GRT needs GRO"),
         (["DIF GRT", "GRO 1", "GRS 0"], "DIF GRT", "GRS must not be 0"),
@@ -134,6 +138,12 @@ def test_a_phase_that_cannot_be_read_is_one_line(lines, where, reason):
     assert message.startswith("lens.seq: line ")
     assert where in message or ": S -80.0" in message
     assert reason in message
+    assert "\n" not in message
+
+
+def test_a_construction_point_in_the_surface_is_one_line():
+    message = refusal_of(flat_with_lines("DIF HOE", "HOR 1", "HWL 500", "HZ2 100"))
+    assert "must not lie in the vertex plane" in message
     assert "\n" not in message
 
 

@@ -47,7 +47,8 @@ def random_lens(seed: int, kind: str) -> lf.Lens:
     surfaces = []
     for number in range(4):
         keys: dict[str, Any] = {"radius_mm": float(draw.choice([-1.0, 1.0]) * draw.uniform(20.0, 80.0))}
-        keys |= {"conic": float(draw.uniform(-2.0, 0.5)), "semi_diameter_mm": SEMI, "phase": phase(draw, kind)}
+        keys |= {"conic": float(draw.uniform(-2.0, 0.5))} if kind != "hologram" else {"radius_mm": math.inf}
+        keys |= {"semi_diameter_mm": SEMI, "phase": phase(draw, kind)}
         if aspheric and draw.random() < 0.5:
             keys["asphere_mm"] = (0.02 * draw.normal(size=3) / SEMI ** np.arange(4.0, 10.0, 2.0)).tolist()
         keys |= {"index": 1.5 + 0.1 * number} if number % 2 == 0 else {}
@@ -139,7 +140,8 @@ HOLOGRAM = {
         ),
         (".zmx", {"phase": RADIAL, "odd_asphere_mm": [1e-5]}, "surfaces[1].odd_asphere_mm: Zemax's surfaces"),
         (".zmx", {"phase": RADIAL, "asphere_mm": [1e-9] * 8}, "surfaces[1].asphere_mm: Zemax's BINARY_2 has 7 terms"),
-        (".zmx", {"phase": HOLOGRAM, "asphere_mm": [1e-6]}, "surfaces[1].asphere_mm: Zemax's holograms are spheres"),
+        (".zmx", {"phase": HOLOGRAM}, "a Zemax file cannot hold the phase of a hologram on a curved surface"),
+        (".seq", {"phase": HOLOGRAM}, "a CODE V file cannot hold the phase of a hologram on a curved surface"),
         (
             ".zmx", {"phase": {"kind": "xy", "coefficients_rad": [(20, 1, 1.0)], "radius_mm": 4.0}},
             "surfaces[1].phase.coefficients_rad: Zemax's BINARY_1 has powers i + j up to 20",
@@ -178,9 +180,10 @@ def test_an_efficiency_is_noted_as_missing(ending, tmp_path):
 
 def test_a_hologram_of_two_like_points_is_noted_as_doubtful(tmp_path):
     path = tmp_path / "lens.zmx"
-    notes = write_lens_file(single(phase=HOLOGRAM), path, Conditions(image_mm=50.0))
+    flat = {"radius_mm": math.inf}
+    notes = write_lens_file(single(phase=HOLOGRAM, **flat), path, Conditions(image_mm=50.0))
     assert any(note.startswith("HOLOGRM1: the sign of its order") for note in notes)
-    mixed = single(phase=HOLOGRAM | {"point_2": "virtual"})
+    mixed = single(phase=HOLOGRAM | {"point_2": "virtual"}, **flat)
     assert not any("HOLOGRM1" in note for note in write_lens_file(mixed, path, Conditions(image_mm=50.0)))
 
 

@@ -49,8 +49,9 @@ PIECES = {
 }
 
 
-def text_of(kind, *lines, unit="MM", curvature="0.02"):
+def text_of(kind, *lines, unit="MM", curvature=None):
     held = "".join(f"  {line}\n" for line in lines)
+    curvature = curvature or ("0" if kind.startswith("HOLOGRM") else "0.02")
     return SURFACE.format(kind=kind, lines=held, unit=unit, curvature=curvature)
 
 
@@ -210,6 +211,7 @@ def test_phases_without_effect_are_none():
         ("DGRATING", [*PIECES["DGRATING"], "XDAT 1 1"], "XDAT 1 1", "DGRATING has no extra data"),
         ("HOLOGRM1", ["PARM 3 -9", "PARM 7 -0.5", "PARM 8 1"], "PARM 7 -0.5", "made into a mirror"),
         ("HOLOGRM2", ["PARM 3 -9", "PARM 7 0.5", "PARM 8 1"], "TYPE HOLOGRM2", "must not lie in the vertex plane"),
+        ("HOLOGRM2", [*PIECES["HOLOGRM2"], "CURV 1e-3"], "TYPE HOLOGRM2", "a hologram on a curved surface"),
         ("HOLOGRM2", [*PIECES["HOLOGRM2"], "PARM 9 1"], "PARM 9 1", "parameter 9 of HOLOGRM2 is unknown"),
         ("BINARY_2", [*PIECES["BINARY_2"], "GLAS MIRROR"], "GLAS MIRROR", "mirrors are not supported"),
         ("BINARY_4", ["PARM 0 1"], "TYPE BINARY_4", "a variable number of zones"),

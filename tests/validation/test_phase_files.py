@@ -1,8 +1,8 @@
 """Rays through phase surfaces against the radii that OpticStudio stores for its images.
 
-A Zemax file stores the semi-diameter of its image: the largest height of the chief and the marginal rays of its fields
-and wavelengths, which are aimed at the paraxial entrance pupil. The prescriptions are those of Zemax's samples, and of
-two gratings that optiland compares itself with.
+A Zemax file stores the semi-diameter of its image: the largest height of the marginal rays of its fields and
+wavelengths, which are aimed at the paraxial entrance pupil. Versions up to 2013 trace the upper and the lower ray, that
+of the gratings the left and the right one, too. The prescriptions are Zemax's samples, and two of optiland's tests.
 """
 
 import itertools
@@ -35,6 +35,8 @@ class Sample(NamedTuple):
     object_mm: float
     fields: tuple[tuple[float, float], ...]
     """Heights x and y of the object in mm, or angles in degrees for one at infinity."""
+    edges: tuple[tuple[float, float], ...] = ((0.0, 1.0), (0.0, -1.0))
+    """Points x and y of the entrance pupil, over its radius."""
 
 
 HEAD = "MODE SEQ\nUNIT MM\nENPD {epd}\nGCAT SCHOTT\nFTYP {kind} 0 1 {waves} 0 0 0\nYFLN 0\n"
@@ -63,6 +65,7 @@ ZERNIKE = (
 )  # fmt: skip
 IN_BK7 = "\n  GLAS N-BK7 0 0 1.5 40"
 GRATING = "STOP\n  TYPE DGRATING\n  PARM 1 0.2\n  PARM 2 -1\n  DISZ 30\n  DIAM 9"
+ALL_EDGES = ((0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-1.0, 0.0))
 PLATE = ("TYPE STANDARD\n  DISZ 5\n  DIAM 12" + IN_BK7,)
 GLASS_AT_MM = 5.0 / refractive_index("SCHOTT/N-BK7", 587.0)
 """Place of the image of the back of the plate, the entrance pupil."""
@@ -114,20 +117,19 @@ SAMPLES = {
     ),
     "flat grating": Sample(
         text_of(15.0, [0.587], "INFINITY", *PLATE, GRATING),
-        30.0, 13.319073572664644, 7.5, GLASS_AT_MM, math.inf, ((0.0, 0.0), (0.0, 10.0), (10.0, 0.0)),
+        30.0, 13.319073572664644, 7.5, GLASS_AT_MM, math.inf, ((0.0, 0.0), (0.0, 10.0), (10.0, 0.0)), ALL_EDGES,
     ),
     "curved grating": Sample(
         text_of(15.0, [0.587], "INFINITY", *PLATE, GRATING.replace("  PARM 1", "  CURV 0.02\n  CONI 1\n  PARM 1")),
-        30.0, 15.906291922754132, 7.5, GLASS_AT_MM, math.inf, ((0.0, 0.0), (0.0, 10.0), (10.0, 0.0)),
+        30.0, 15.906291922754132, 7.5, GLASS_AT_MM, math.inf, ((0.0, 0.0), (0.0, 10.0), (10.0, 0.0)), ALL_EDGES,
     ),
 }  # fmt: skip
 
 
 def rays(sample: Sample) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the chief and marginal rays of a sample, 10 mm or more before the first surface."""
+    """Return the marginal rays of a sample, 10 mm or more before the first surface."""
     starts, directions = [], []
-    edges = [(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]
-    for field, edge in itertools.product(sample.fields, edges):
+    for field, edge in itertools.product(sample.fields, sample.edges):
         target = np.array([*(sample.pupil_mm * np.array(edge)), sample.pupil_at_mm])
         if math.isinf(sample.object_mm):
             direction = np.array([*np.tan(np.radians(field)), 1.0])

@@ -233,13 +233,10 @@ def _thin_powers(number: int, made: KeptSurfaces, prescription: Prescription, re
         power = 0.0 if surface.focal_length is None else 1.0 / surface.focal_length / prescription.unit_mm
         return power, power
     try:
-        phase = Surface(phase=surface.phase).phase
+        alone, nm = Surface(phase=surface.phase), prescription.primary_nm
     except SceneError as error:
         raise SceneError(f"{report.path}: {file_fault(str(error), made.kept, number)}") from None
-    if phase is None:
-        return 0.0, 0.0
-    nm = prescription.primary_nm
-    return phase.power_per_mm(nm), phase.power_per_mm(nm, section_x=True)
+    return alone.added_power_per_mm(nm), alone.added_power_per_mm(nm, section_x=True)
 
 
 def _count(prescription: Prescription) -> str:

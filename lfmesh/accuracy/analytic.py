@@ -1,8 +1,9 @@
 """Sequential trace through the analytic surfaces, without meshes: the truth for the tracer's errors.
 
 It shares no code with the engine. Rays are transferred by Welford's formulae (Aberrations of Optical Systems, 1986,
-chapter 4) and Newton's method for aspheric terms, refracted by Snell's law in vector form, and weighted by Fresnel's
-transmittances. The difference between float64 and extended precision is the error of the truth itself.
+chapter 4) and Newton's method for aspheric terms, refracted by Snell's law in vector form, turned by phases, and
+weighted by Fresnel's transmittances and the shares of orders. The difference between float64 and extended precision is
+the error of the truth itself.
 
 Camera frame throughout: z along the axis from object to sensor, origin at the first vertex, mm.
 """
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.accuracy.analytic_array import LensletArray, lenslet_array, through_array
+from lfmesh.accuracy.analytic_phases import DiffractionOrder, only_order
 from lfmesh.accuracy.analytic_rays import (
     NEWTON_STEPS,
     Array,
@@ -46,6 +48,8 @@ class Interface:
     """Power of a thin lens in place of an interface, 1/mm."""
     odd: tuple[float, ...] = ()
     """Coefficients of r³, r⁵, ..."""
+    order: DiffractionOrder | None = None
+    """Order of the surface's phase."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +61,9 @@ class Landing:
     position : (n, 2) float, mm
         x and y in the sensor's frame; NaN for a ray that does not arrive.
     weight : (n,) float
-        Remaining fraction of the ray's power: the product of Fresnel's transmittances.
+        Remaining fraction of the ray's power: the product of Fresnel's transmittances and the shares of orders.
     arrives : (n,) bool
-        False if the ray is stopped by an aperture, misses a surface, or is totally reflected.
+        False if the ray is stopped by an aperture, misses a surface, is totally reflected, or turns evanescent.
     """
 
     position: Array
@@ -91,12 +95,14 @@ class Camera:
         Raises
         ------
         LfmeshError
-            A surface of the lens has no analytic truth: a mesh from a file, or a surface not of revolution.
+            A surface of the lens has no analytic truth: a mesh from a file, a surface not of revolution, or a phase
+            from a file or with several orders.
         """
         scene = solved(scene)
         lens, camera = scene.camera.lens, scene.camera
         interfaces = []
-        before, *behind = (refractive_index(medium, wavelength_nm) for medium in lens.media)
+        media = lens.media
+        before, *behind = (refractive_index(medium, wavelength_nm) for medium in media)
         for i, (surface, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True)):
             if surface.mesh is not None:
                 raise LfmeshError(
@@ -109,11 +115,12 @@ class Camera:
                     "surfaces of revolution only"
                 )
             after = behind[i]
+            order = only_order(surface.phase, wavelength_nm, media[i], media[i + 1], f"camera.lens.surfaces[{i}].phase")
             interfaces.append(
                 Interface(
                     z, surface.curvature_per_mm, surface.vertex_conic, surface.terms_mm,
                     surface.semi_diameter_mm or np.inf, before, after, *_placed(lens, i),
-                    surface.thin_lens_power_per_mm, surface.odd_asphere_mm,
+                    surface.thin_lens_power_per_mm, surface.odd_asphere_mm, order,
                 )
             )  # fmt: skip
             before = after
@@ -198,7 +205,10 @@ def _through_surface(rays: Rays, s: Interface) -> None:
     g = 2 * _sag_rate(s, r2)
     normal = np.stack([-g * p[:, 0], -g * p[:, 1], np.ones_like(g)], axis=1)
     rays.p = p + np.array([0, 0, s.vertex_z], kind)
-    if s.index_before != s.index_after:
+    if s.order is not None:
+        refract(rays, normal, s.index_before, s.index_after, s.order.change(p))
+        rays.weight = rays.weight * kind(s.order.share)
+    elif s.index_before != s.index_after:
         refract(rays, normal, s.index_before, s.index_after)
     if s.thin_power:
         slopes = rays.d[:, :2] / rays.d[:, 2:] - kind(s.thin_power) * p[:, :2]

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.accuracy.analytic_phases import DiffractionOrder, only_order
 from lfmesh.accuracy.analytic_rays import (
     NEWTON_STEPS,
     Array,
@@ -42,6 +43,8 @@ class LensletArray:
         Coefficients of r⁴, r⁶, ...
     bends : (2,) float64
         1 for each of x and y, but 0 along cylinders.
+    order, flat_order : DiffractionOrder or None
+        Orders of the phases of this face, about the apexes, and of a flat other face, about the centres of the cells.
     back : LensletArray or None
         Lenslets on the other face, in their own frame, which looks the other way.
     """
@@ -60,6 +63,8 @@ class LensletArray:
     conic: NDArray[np.float64]
     terms: NDArray[np.float64]
     bends: NDArray[np.float64]
+    order: DiffractionOrder | None = None
+    flat_order: DiffractionOrder | None = None
     back: "LensletArray | None" = None
 
     @property
@@ -82,14 +87,16 @@ def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletA
     lattice = Lattice(
         mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
     )
+    # A flat face with a phase has no radius.
+    radii = np.asarray(mla.radius_mm or (np.inf,), np.float64)
     # The form errors are data, drawn from the scene's seed; their effect on rays is computed here.
     drawn = lenslets(
-        lattice, np.asarray(mla.radius_mm, np.float64), mla.thickness_mm,
+        lattice, radii, mla.thickness_mm,
         decenter_mm=mla.form.decenter_mm, radius_error=mla.form.radius_error, seed=mla.form.seed,
         conic=mla.conic, asphere_mm=mla.asphere_mm, cylinder_axis=mla.cylinder_axis,
     )  # fmt: skip
     row, column = np.indices((lattice.rows, lattice.columns))
-    kinds = mla.types
+    kinds = len(radii)
     if kinds == 1:
         kind = np.zeros_like(row)
     elif mla.cylinder_axis is not None:
@@ -98,7 +105,7 @@ def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletA
         kind = (column - row // 2 + 2 * row) % 3 if kinds == 3 else (column + row) % 2
     else:
         kind = (column + row) % kinds
-    curvature = 1.0 / np.asarray(mla.radius_mm, np.float64)[kind]
+    curvature = 1.0 / radii[kind]
     centre = lattice.centres()
     apex = centre.copy()
     if len(drawn.stretch):
@@ -112,8 +119,12 @@ def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletA
         # The curved face is on the far side, and its own z points back.
         origin = origin + turn @ [0.0, 0.0, mla.thickness_mm]
         turn = turn @ np.diag([1.0, 1.0, -1.0])
-    index = refractive_index(mla.medium, wavelength_nm)
-    outside = refractive_index(scene.camera.lens.media[-1], wavelength_nm)
+    around = scene.camera.lens.media[-1]
+    index, outside = (refractive_index(medium, wavelength_nm) for medium in (mla.medium, around))
+    # Light enters by the face towards the lens.
+    inwards, outwards = (around, mla.medium), (mla.medium, around)
+    order = only_order(mla.curved_phase, wavelength_nm, *(inwards if to_lens else outwards), "camera.mla.curved_phase")
+    flat_order = only_order(mla.flat_phase, wavelength_nm, *(outwards if to_lens else inwards), "camera.mla.flat_phase")
     profiles = [mla.profile_of(k) for k in range(kinds)]
     terms = np.zeros((kinds, max(len(given) for _, given in profiles)))
     for own, (_, given) in zip(terms, profiles, strict=True):
@@ -121,7 +132,7 @@ def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletA
     face = LensletArray(
         turn, origin, to_lens, index, outside, mla.thickness_mm, lattice.hexagonal, lattice.pitch, curvature, apex,
         centre, np.array([conic for conic, _ in profiles])[kind], terms[kind],
-        np.array([mla.cylinder_axis != "x", mla.cylinder_axis != "y"], np.float64),
+        np.array([mla.cylinder_axis != "x", mla.cylinder_axis != "y"], np.float64), order, flat_order,
     )  # fmt: skip
     return face if mla.back is None else replace(face, back=_other_face(face, mla.back))
 
@@ -138,6 +149,7 @@ def _other_face(face: LensletArray, back: BackFace) -> LensletArray:
         conic=back.conic * alike,
         terms=np.multiply.outer(alike, np.array(back.asphere_mm or (0.0,))),
         bends=np.array([back.cylinder_axis != "x", back.cylinder_axis != "y"], np.float64),
+        order=face.flat_order,
     )
 
 
@@ -165,9 +177,12 @@ def _through_flat_face(rays: Rays, mla: LensletArray, before: float, after: floa
     t = (kind(mla.thickness) - rays.p[:, 2]) / rays.d[:, 2]
     rays.p = rays.p + t[:, None] * rays.d
     # Between the faces a ray may exit through the array's edge.
-    rays.alive &= _nearest_cell(mla, rays.p) >= 0
+    cell = _nearest_cell(mla, rays.p)
+    rays.alive &= cell >= 0
     along = np.sign(rays.d[:, 2])
-    refract(rays, np.stack([np.zeros_like(t), np.zeros_like(t), along], axis=1), before, after)
+    centre = mla.centre.reshape(-1, 2)[np.maximum(cell, 0)].astype(kind)
+    normal = np.stack([np.zeros_like(t), np.zeros_like(t), along], axis=1)
+    _into(mla.flat_order, rays, rays.p[:, :2] - centre, normal, before, after)
 
 
 def _through_lenslets(rays: Rays, mla: LensletArray, before: float, after: float) -> None:
@@ -202,7 +217,16 @@ def _through_lenslets(rays: Rays, mla: LensletArray, before: float, after: float
     if not mla.spherical:
         normal = np.column_stack([-_profile(mla, flat, c, q)[1], np.ones_like(c)])
     normal = normal * np.sign(rays.d[:, 2:])
-    refract(rays, normal, before, after)
+    _into(mla.order, rays, q[:, :2], normal, before, after)
+
+
+def _into(order: DiffractionOrder | None, rays: Rays, at: Array, normal: Array, before: float, after: float) -> None:
+    """Refract the rays, and turn them by the phase of the face at points (n, 2) from its own centre."""
+    if order is None:
+        refract(rays, normal, before, after)
+        return
+    refract(rays, normal, before, after, order.change(at))
+    rays.weight = rays.weight * rays.p.dtype.type(order.share)
 
 
 def _profile(mla: LensletArray, cell: NDArray[np.int64], c: Array, q: Array) -> tuple[Array, Array]:

@@ -79,8 +79,11 @@ def conic_transfer(p: Array, d: Array, c: Any, k: Any) -> Array:
     return to_plane + f / (g + np.sqrt(g * g - c * f * (1 + k * d[:, 2] ** 2)))
 
 
-def refract(rays: Rays, normal: Array, before: float, after: float) -> None:
+def refract(rays: Rays, normal: Array, before: float, after: float, change: Array | None = None) -> None:
     """Refract the rays by Snell's law, n' d' − n d parallel to the normal, and weight them by Fresnel's transmittance.
+
+    A phase of the face adds its gradient to n d along the face (W. T. Welford, Optics Communications 14, 1975, 322).
+    The transmittance stays that of the refracted ray.
 
     Parameters
     ----------
@@ -89,6 +92,8 @@ def refract(rays: Rays, normal: Array, before: float, after: float) -> None:
         Along the rays, of any length.
     before, after : float
         Refractive indices.
+    change : (n, 3) float, optional
+        Change of n d by a phase, before its projection on the face.
     """
     kind = rays.d.dtype.type
     n_i, n_t = kind(before), kind(after)
@@ -98,6 +103,11 @@ def refract(rays: Rays, normal: Array, before: float, after: float) -> None:
     rays.alive &= (a_i > 0) & (square > 0)
     a_t = np.sqrt(square)
     bent = n_i * rays.d + (a_t - a_i)[:, None] * normal
+    if change is not None:
+        across = n_i * rays.d + change - (a_i + (change * normal).sum(axis=1))[:, None] * normal
+        square = n_t * n_t - (across * across).sum(axis=1)
+        rays.alive &= square > 0
+        bent = across + np.sqrt(square)[:, None] * normal
     rays.d = bent / np.sqrt((bent * bent).sum(axis=1))[:, None]
     cos_i, cos_t = a_i / n_i, a_t / n_t
     t_s = 2 * n_i * cos_i / (n_i * cos_i + n_t * cos_t)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.accuracy import analytic
+from lfmesh.accuracy.analytic_phases import has_phases
 from lfmesh.geometry.array.array_mesh import cell_pattern
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.geometry.frame import points
@@ -228,7 +229,7 @@ def study_lens(
     rays: int = RAYS,
     progress: Callable[[str], None] | None = None,
 ) -> LensStudy:
-    """Measure a scene's lens, and the whole camera if it has microlenses, at every level and mesh.
+    """Measure a scene's lens, and the whole camera if it has microlenses, at every level that it can have, and mesh.
 
     Parameters
     ----------
@@ -249,7 +250,8 @@ def study_lens(
     ways = [(LENS_ALONE, lens_alone(scene))]
     if scene.camera.mla is not None:
         ways.append((WHOLE_CAMERA, scene))
-    default = {level: solved_camera(scene.changed({"transport.surface": level})).lens_shape().rings for level in LEVELS}
+    levels = levels_of(scene)
+    default = {level: solved_camera(scene.changed({"transport.surface": level})).lens_shape().rings for level in levels}
     rows: list[LensRow] = []
     errors: list[float | None] = []
     for way, camera in ways:
@@ -260,7 +262,7 @@ def study_lens(
         errors.append(analytic.own_error(camera, wavelength, *(a[:2000] for a in sent)))
         # Let the compiler and the libraries allocate their memory before any is measured.
         trace(build(camera), *sent, wavelength, "transmit")
-        for level in LEVELS:
+        for level in levels:
             for number in rings if level != "exact" else tuple(m * default["exact"] for m in EXACT_MULTIPLES):
                 if progress is not None:
                     progress(f"{name}, {way}: {level}, {number} rings")
@@ -275,6 +277,11 @@ def _lenslet_triangles(scene: Scene) -> int:
     if mla is None:
         return 0
     return len(cell_pattern(Lattice(mla.layout == "hexagonal", mla.pitch_mm, *mla.count))[1])
+
+
+def levels_of(scene: Scene) -> tuple[str, ...]:
+    """Return the levels of `surface` that a scene can be traced at: a phase needs exact surfaces."""
+    return tuple(level for level in LEVELS if level == "exact" or not has_phases(scene))
 
 
 def order_of(rows: Sequence[LensRow]) -> float:

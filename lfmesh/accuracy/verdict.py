@@ -202,7 +202,7 @@ def lens_summary(study: LensStudy) -> dict[str, str]:
 
 
 def three_numbers(study: LensStudy) -> list[str]:
-    """Return the three most important numbers of a lens, one line each."""
+    """Return the most important numbers of a lens, up to three, one line each."""
     exact = study.of(LENS_ALONE, "exact")[0]
     lines = [
         f"exact, {exact.triangles:,} triangles per surface (its default): rays land within {length(exact.max_mm)} of "
@@ -214,8 +214,9 @@ def three_numbers(study: LensStudy) -> list[str]:
             f"{mesh.surface}, for glass that is only a mesh: {mesh.triangles:,} triangles per surface err by "
             f"{pixels(mesh.rms_px)} (rms)"
         )
-    flat = study.of(LENS_ALONE, "flat")[-1]
-    lines.append(f"flat facets, {flat.triangles:,} triangles per surface: {pixels(flat.rms_px)} off (rms)")
+    if facets := study.of(LENS_ALONE, "flat"):
+        flat = facets[-1]
+        lines.append(f"flat facets, {flat.triangles:,} triangles per surface: {pixels(flat.rms_px)} off (rms)")
     return lines
 
 
@@ -224,6 +225,8 @@ def _choice(study: LensStudy, way: str, exact: LensRow) -> str:
         f"Choose exact wherever the surfaces have a formula: on its default mesh of {exact.triangles:,} triangles per "
         f"surface rays land within {length(exact.max_mm)} of the truth, and finer meshes change nothing. "
     )
+    if not any(study.of(way, level) for level in MESH_LEVELS):
+        return words.rstrip()
     mesh = cheapest_mesh(study, way)
     if mesh is None:
         return words + "For glass that is only a mesh, no mesh measured stays below a tenth of a pixel."

@@ -2,12 +2,16 @@
 
 import numpy as np
 
+from lfmesh.accuracy.analytic_phases import only_order
 from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, disk, lens_scene, on_sensor
 from lfmesh.accuracy.hard.truth import Array, Plate
 from lfmesh.geometry.frame import directions, frame, inverse, points
 from lfmesh.scene import BackFace, MicrolensArray, Pose
+from lfmesh.scene.camera.phase import MetalensPhase
 from lfmesh.transport.build import build
 from lfmesh.transport.trace import trace
+
+PRIMARY_NM = 587.6
 
 BEHIND_LENS = 10.0
 """Distance from the lens to the array, mm."""
@@ -24,9 +28,11 @@ def _array(
     pose = pose or Pose()
     mla = MicrolensArray(
         layout="hexagonal" if plate.hexagonal else "square", count=(plate.columns, plate.rows), pitch_mm=plate.pitch,
-        radius_mm=(plate.radius,), conic=(plate.conic,), asphere_mm=(plate.asphere,), index=plate.index * outside,
+        radius_mm=(plate.radius,) if np.isfinite(plate.radius) else None, conic=(plate.conic,),
+        asphere_mm=(plate.asphere,), index=plate.index * outside,
         thickness_mm=plate.thickness, distance_mm=BEHIND_LENS, pose=pose,
         back=BackFace(radius_mm=plate.back_radius) if np.isfinite(plate.back_radius) else None,
+        curved_phase=None if plate.order is None else plate.order.phase,
     )  # fmt: skip
     lens_end = sum(surface.thickness_mm or 0.0 for surface in SINGLET)
     scene = lens_scene(
@@ -203,3 +209,13 @@ def lenslets_that_turn_back() -> Outcome:
 def borders_of_hyperbolic_lenslets() -> Outcome:
     """Aim rays along cell borders and through cell corners of a square array of hyperboloids."""
     return _borders(False, conic=-2.25)
+
+
+@case
+def metalens_lenslets() -> Outcome:
+    """Cross flat hexagonal metalenses of f/0.9 at slopes up to 0.5, where light leaves at up to 81 degrees."""
+    phase = MetalensPhase(focal_length_mm=0.1125, design_nm=PRIMARY_NM)
+    order = only_order(phase, PRIMARY_NM, None, 1.46, "curved_phase")
+    plate = Plate(True, 0.125, 65, 65, np.inf, 0.3, 1.46, 0.3, order=order)
+    o, d = _cone(20_000, 3.5, 0.5)
+    return _array(plate, o, d, tolerance=1e-10, relative=1e-10)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfmesh.accuracy.analytic_phases import DiffractionOrder
+
 Array = NDArray[np.float64]
 
 BISECTIONS = 200
@@ -41,6 +43,8 @@ class Interface:
     odd: tuple[float, ...] = ()
     across: tuple[str, float, float] | None = None
     """"biconic" or "toroid", radius and conic constant in x; `radius` and `conic` are then for y."""
+    order: DiffractionOrder | None = None
+    """Order of the surface's phase."""
 
     @property
     def is_conic(self) -> bool:
@@ -197,7 +201,7 @@ def transmittance(n_i: float, n_t: float, cos_i: Array, cos_t: Array) -> Array:
     return np.asarray(0.5 * n_t * cos_t / (n_i * cos_i) * (s * s + p * p))
 
 
-def refracted(d: Array, normal: Array, n_i: float, n_t: float) -> tuple[Array, Array]:
+def refracted(d: Array, normal: Array, n_i: float, n_t: float, change: Array | None = None) -> tuple[Array, Array]:
     """Return the directions (n, 3) by Snell's law and the transmittances (n,); NaN for total reflection.
 
     Parameters
@@ -206,6 +210,8 @@ def refracted(d: Array, normal: Array, n_i: float, n_t: float) -> tuple[Array, A
     normal : (n, 3) float64, unit, of either sense
     n_i, n_t : float
         Refractive indices in front and behind.
+    change : (n, 3) float64, optional
+        Change of n d by a phase, before its projection on the surface. Directions are NaN for evanescent light.
     """
     cos_i = np.einsum("ij,ij->i", d, normal)
     normal = normal * np.sign(cos_i)[:, None]
@@ -214,11 +220,17 @@ def refracted(d: Array, normal: Array, n_i: float, n_t: float) -> tuple[Array, A
     with np.errstate(invalid="ignore"):
         cos_t = np.sqrt(1.0 - np.einsum("ij,ij->i", tangential, tangential))
     share = transmittance(n_i, n_t, cos_i, cos_t) if n_i != n_t else np.ones_like(cos_i)
+    if change is not None:
+        along = change - np.einsum("ij,ij->i", change, normal)[:, None] * normal
+        # Light that the face reflects totally has no transmitted orders.
+        tangential = np.where(np.isfinite(cos_t)[:, None], tangential + along / n_t, np.nan)
+        with np.errstate(invalid="ignore"):
+            cos_t = np.sqrt(1.0 - np.einsum("ij,ij->i", tangential, tangential))
     return tangential + cos_t[:, None] * normal, share
 
 
 def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLike, first_index: float = 1.0) -> Bundle:
-    """Trace rays sequentially through surfaces, refracting at each.
+    """Trace rays sequentially through surfaces, refracting at each, and turning them at phases.
 
     Parameters
     ----------
@@ -237,7 +249,10 @@ def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLi
     n_i = first_index
     for face in interfaces:
         at = face.meet(p, d)
-        d, share = refracted(d, face.normal(at), n_i, face.index)
+        change = None if face.order is None else face.order.change(at)
+        d, share = refracted(d, face.normal(at), n_i, face.index, change)
+        if face.order is not None:
+            share = share * face.order.share
         if np.isfinite(face.focal_length):
             d = _past_thin_lens(at, d, face.focal_length)
         p = np.add(at, [0.0, 0.0, face.z])
@@ -283,6 +298,8 @@ class Plate:
     asphere: tuple[float, ...] = ()
     back_radius: float = np.inf
     """mm, positive for convex lenslets on the other face."""
+    order: DiffractionOrder | None = None
+    """Order of the phase about each lenslet's centre."""
 
     def centres(self, column: NDArray[np.int64], row: NDArray[np.int64]) -> Array:
         """Return the centres (..., 2) of cells."""
@@ -327,7 +344,7 @@ class Plate:
         centre = self.centres(column, row)
         corner = self.pitch / np.sqrt(3.0 if self.hexagonal else 2.0)
         face = Interface(self.radius, 0.0, conic=self.conic, asphere=self.asphere, reach=1.001 * corner)
-        met, entered, normals = [], [], []
+        met, entered, normals, changes = [], [], [], []
         for k in range(centre.shape[1]):
             exists = (column[:, k] >= 0) & (column[:, k] < self.columns) & (row[:, k] >= 0) & (row[:, k] < self.rows)
             shift = np.column_stack([centre[:, k], np.zeros(len(d))])
@@ -336,6 +353,7 @@ class Plate:
             met.append(np.where(exists & (self._depth_in_cell(at[:, :2]) >= -BORDER), t, np.inf))
             entered.append(at + shift)
             normals.append(face.normal(at))
+            changes.append(np.zeros(d.shape) if self.order is None else self.order.change(at))
         order = np.argsort(met, axis=0)[:3]
         best = np.min(met, axis=0)
         every = np.arange(len(d))
@@ -343,12 +361,13 @@ class Plate:
         for k in order:
             right = np.array(met)[k, every] <= best + BORDER * self.pitch
             point, normal = np.array(entered)[k, every], np.array(normals)[k, every]
-            inside, share = refracted(d, normal, 1.0, self.index)
+            change = None if self.order is None else np.array(changes)[k, every]
+            inside, share = refracted(d, normal, 1.0, self.index, change)
             exit_point, facing = self._at_other_face(point, inside)
             out, leaving = refracted(inside, facing, self.index, 1.0)
             landing = at_plane(exit_point, out, self.thickness + self.to_sensor)
             landings.append(np.where((right & np.isfinite(best))[:, None], landing, np.nan))
-            weights.append(share * leaving)
+            weights.append(share * leaving * (1.0 if self.order is None else self.order.share))
         return np.array(landings), np.array(weights)
 
     def _at_other_face(self, p: Array, d: Array) -> tuple[Array, Array]:

@@ -334,3 +334,89 @@ def lenslet_diffraction(draft: Draft, dice: Dice) -> bool | None:
         mla["clear_diameter_mm"] = rounded(mla["pitch_mm"] * dice.between(0.7, 0.99))
     draft.transport["diffraction"] = "lenslets"
     return None
+
+
+# Phases, after all that they do not go with
+
+
+DESIGN_NM = 587.6
+
+
+def phase_of(dice: Dice, radius_mm: float, power_per_mm: float) -> Tables:
+    """Draw a phase of a beam of a radius that adds a power; a grating turns light by as much as the power at the rim.
+
+    Parameters
+    ----------
+    dice : Dice
+    radius_mm : float
+    power_per_mm : float
+        Signed, at the design wavelength in the main order.
+    """
+    order = dice.one_of(-1, 1, 1, 2)
+    per_sine = 1.0 / (order * DESIGN_NM * 1e-6)
+    turn = power_per_mm * radius_mm * per_sine
+    coefficient = -math.pi * turn * radius_mm
+    aberration = coefficient * dice.between(-0.2, 0.2)
+    kind = dice.one_of("radial", "xy", "grating", "metalens")
+    phase: Tables = {"kind": kind, "order": order}
+    if kind == "radial":
+        phase |= {"coefficients_rad": [rounded(coefficient), rounded(aberration)], "radius_mm": rounded(radius_mm)}
+    elif kind == "xy":
+        terms = [[2, 0, coefficient], [0, 2, coefficient], [1, 1, aberration], [0, 3, 0.5 * aberration]]
+        phase |= {"coefficients_rad": [[i, j, rounded(a)] for i, j, a in terms], "radius_mm": rounded(radius_mm)}
+    elif kind == "grating":
+        phase |= {"lines_per_mm": rounded(abs(turn)), "direction_deg": dice.between(-180.0, 180.0)}
+    else:
+        phase |= {"order": 1, "focal_length_mm": rounded(1.0 / power_per_mm), "design_nm": DESIGN_NM}
+    return phase
+
+
+def with_light(phase: Tables, dice: Dice, other: int) -> Tables:
+    """Draw the light in the orders: all in one, a blaze, or shares of two orders with some light in neither."""
+    choice = dice.one_of("ideal", "ideal", "blaze", "two orders")
+    if choice == "blaze":
+        phase |= {"efficiency": "blaze", "design_nm": DESIGN_NM, "blaze_order": phase["order"]}
+        if dice.chance(0.5):
+            # Few steps leave higher orders dark.
+            phase["levels"] = dice.one_of(2, 4, 8) if abs(phase["order"]) == 1 else 8
+    elif choice == "two orders":
+        main = phase.pop("order")
+        shares = dice.between(0.4, 0.7), dice.between(0.05, 0.3)
+        listed = zip((main, other), shares, strict=True)
+        phase["orders"] = [{"order": order, "share": share} for order, share in listed]
+    return phase
+
+
+@feature(cameras=0.08, scenes=0.04, own_kernels=True)
+def phase_on_the_lens(draft: Draft, dice: Dice) -> bool | None:
+    """A weak phase, of up to a fifth of the lens's power, on one of its faces."""
+    faces = [s for s in draft.curved if "finish" not in s]
+    if not faces or draft.transport.get("polarisation"):
+        return False
+    surface = dice.one_of(*faces)
+    radius, power = draft.semi_mm, dice.both_signs(0.02, 0.2) / draft.focal_mm
+    surface["phase"] = with_light(phase_of(dice, radius, power), dice, dice.one_of(0, 3))
+    return None
+
+
+@feature(cameras=0.08, scenes=0.04, own_kernels=True)
+def phase_on_the_array(draft: Draft, dice: Dice) -> bool | None:
+    """A weak phase on either face, or metalenses in place of the lenslets."""
+    mla = array_of(draft)
+    rough = {"curved_finish", "flat_finish"} & (mla or {}).keys()
+    if mla is None or rough or draft.transport.get("polarisation") or "diffraction" in draft.transport:
+        return False
+    face = dice.one_of("curved_phase", "flat_phase")
+    shaped = {"conic", "asphere_mm", "cylinder_axis", "back"} & mla.keys()
+    radius = mla["radius_mm"]
+    first = radius[0] if isinstance(radius, list) else radius
+    power = (mla["index"] - 1.0) / first
+    if dice.chance(0.4) and not shaped and not isinstance(radius, list):
+        del mla["radius_mm"]
+        if "form" in mla:
+            del mla["form"]["radius_error"]
+        mla[face] = {"kind": "metalens", "focal_length_mm": rounded(1.0 / power), "design_nm": DESIGN_NM}
+        return None
+    weak = power * dice.both_signs(0.05, 0.25)
+    mla[face] = with_light(phase_of(dice, 0.5 * mla["pitch_mm"], weak), dice, dice.one_of(0, 3))
+    return None

@@ -85,7 +85,7 @@ def scaled(scene: Tables, factor: float) -> Tables:
     """Return a scene of all lengths times a factor, radiances and irradiances kept: its image has factor² the power.
 
     Powers and intensities of lamps and particles grow by the factor's square; light per volume, and absorption and
-    scattering per length, fall. Files have their own lengths, and are refused.
+    scattering per length, fall. Wavelengths stay, so that phases grow. Files have their own lengths, and are refused.
     """
     return _scaled(copy.deepcopy(scene), factor)
 
@@ -101,15 +101,23 @@ def _scaled(table: Tables, k: float) -> Tables:
 LOWEST = {"asphere_mm": 4, "odd_asphere_mm": 3}
 """Powers of r of the first coefficients."""
 
+PHASES = ("coefficients_rad",)
+"""Coefficients of phases, in rad, alone or after two powers."""
+
 
 def _scaled_value(key: str, value: Any, k: float) -> Any:
     if isinstance(value, dict):
         return _scaled(value, k)
+    if key in PHASES and isinstance(value, list):
+        # The change of direction by a phase is that of radians over lengths.
+        return [[*one[:2], one[2] * k] if isinstance(one, list) else one * k for one in value]
     if isinstance(value, list):
         if key in LOWEST and value and not isinstance(value[0], list):
             return [a * k ** (1 - LOWEST[key] - 2 * j) for j, a in enumerate(value)]
         return [_scaled_value(key, one, k) for one in value]
     if isinstance(value, bool) or not isinstance(value, int | float):
+        return value
+    if key == "lines_per_mm":
         return value
     if key.endswith("_per_mm") or key == "emission_w_mm3_sr":
         return value / k

@@ -30,6 +30,7 @@ from lfmesh.imports.lens_file import read_lens, write_lens_file
 from lfmesh.lightfield.volumes.voxel_box import read_box
 from lfmesh.optics.curve import read_curve
 from lfmesh.optics.light_profile import read_profile
+from lfmesh.optics.phase_grid import read_phase_grid
 from lfmesh.optics.reflectance_table import read_reflectance
 from lfmesh.scene import solved
 from lfmesh.scene.light.particles import Particles, particle_places
@@ -242,6 +243,7 @@ def picture(ending: str) -> bytes:
 
 
 GRID = np.linspace(0.0, 1.0, 24).reshape(2, 3, 4)
+PHASES = np.linspace(0.0, 9.0, 30).reshape(6, 5)
 
 
 def by_writing(ending: str, write: Callable[[Path], Any]) -> bytes:
@@ -298,6 +300,7 @@ TEXTS: dict[str, Callable[[], Kind]] = {
 BINARIES: dict[str, Callable[[], Kind]] = {
     "npz": lambda: Kind("npz", npz(absorption_per_mm=GRID, spacing_mm=1.0, origin_mm=np.zeros(3)), read_voxels),
     "packed vti": lambda: Kind("vti", by_writing("vti", lambda path: vti(path, binary=True)), read_voxels),
+    "phases": lambda: Kind("npz", npz(phase_rad=PHASES, spacing_mm=0.5, origin_mm=np.zeros(2)), read_phase_grid),
     "box": lambda: Kind("npz", npz(absorption_per_mm=GRID, spacing_mm=np.ones(3)), read_box),
     "npy": lambda: Kind("npy", npy(GRID), lambda path: read_voxels(path, 1.0, quantity="absorption_per_mm")),
     "board": lambda: Kind("png", picture("png"), lambda path: read_picture(path, "picture of the board")),
@@ -403,6 +406,35 @@ def test_a_damaged_file_is_read_or_refused(
     tmp_path: Path, name: str, damage: list[tuple[float, bytes]], kept: float
 ) -> None:
     is_read_or_refused(tmp_path, name, damaged(kind_of(name).whole, damage, kept))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"phase_rad": PHASES[0]}, r"phase_rad has the shape \(5,\)"),
+        ({"phase_rad": PHASES[None]}, r"phase_rad has the shape \(1, 6, 5\)"),
+        ({"phase_rad": PHASES[:3]}, r"phase_rad has the shape \(3, 5\)"),
+        ({"phase_rad": PHASES[:0]}, r"phase_rad has the shape \(0, 5\)"),
+        ({"phase_rad": np.float64(1.0)}, r"phase_rad has the shape \(\)"),
+        ({"phase_rad": PHASES + 0j}, "phase_rad must hold real numbers"),
+        ({"phase_rad": PHASES.astype(str)}, "phase_rad must hold real numbers"),
+        ({"phase_rad": np.where(PHASES > 8.0, np.nan, PHASES)}, "phase_rad must be finite"),
+        ({"phase_rad": np.where(PHASES > 8.0, np.inf, PHASES)}, "phase_rad must be finite"),
+        ({"phase_rad": np.mod(3.0 * PHASES, 6.28)}, "phase_rad looks wrapped"),
+        ({"spacing_mm": [0.5, 0.5, 0.5]}, r"spacing_mm has the shape \(3,\)"),
+        ({"spacing_mm": [0.5, 0.0]}, "spacing_mm must be above 0"),
+        ({"spacing_mm": -0.5}, "spacing_mm must be above 0"),
+        ({"spacing_mm": np.nan}, "spacing_mm must be finite"),
+        ({"origin_mm": 0.0}, r"origin_mm has the shape \(\)"),
+        ({"origin_mm": [0.0, np.inf]}, "origin_mm must be finite"),
+        ({"height_mm": 1.0}, "unknown array 'height_mm'"),
+    ],
+)
+def test_a_grid_that_is_no_phase_is_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+    path = tmp_path / "phase.npz"
+    path.write_bytes(npz(**{"phase_rad": PHASES, "spacing_mm": 0.5} | changes))
+    with pytest.raises(FileError, match=rf"phase\.npz: {words}"):
+        read_phase_grid(path)
 
 
 @pytest.mark.parametrize("extent", [b"0 2147483647 0 2 0 3", b"0 1 0 2 0 100000000000"])

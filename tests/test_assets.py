@@ -123,6 +123,23 @@ def test_both_cylinders_of_the_anamorphic_camera_focus_on_its_sensor_at_two_thir
     assert magnifications[1] / magnifications[0] == pytest.approx(2 / 3, abs=0.02)
 
 
+def test_the_hybrid_singlet_brings_two_colours_together() -> None:
+    """Paraxial rays by hand from the axis at 500 mm, at the lines F and C; the phase adds mλA/(πR²) to the power."""
+    scene = load(ASSETS / "scenes" / "hybrid_singlet.toml").changed({"camera.sensor.bands": None})
+    images = {}
+    for line_nm in (486.1, 656.3):
+        n = refractive_index("SCHOTT/N-BK7", line_nm)
+        inside = (1.0 - 500.0 * (n - 1.0) / 27.2) / n
+        height = 500.0 + 4.0 * inside
+        for own in (True, False):
+            added = 147.5 * line_nm * 1e-6 / (math.pi * 5.0**2) if own else 0.0
+            images[own, line_nm] = height / (added * height - n * inside)
+        known = solved(scene.changed({"transport.wavelengths_nm": [line_nm]})).camera.sensor.distance_mm
+        assert known == pytest.approx(images[True, line_nm] - 3.0, rel=1e-6)
+    assert abs(images[True, 486.1] - images[True, 656.3]) < 0.01
+    assert images[False, 656.3] - images[False, 486.1] > 0.9
+
+
 def test_the_promised_scenes_are_there() -> None:
     promised = {"first_light", "lit_chart", "conventional", "hexagonal", "emitting_plane", "lytro_class", "focused"}
     assert {
@@ -136,7 +153,9 @@ def test_the_promised_scenes_are_there() -> None:
         "glossy",
         "ground_glass",
         "hot_metal",
+        "hybrid_singlet",
         "immersed_sensor",
+        "metalens_array",
         "panel_and_tube",
         "polarised",
         "tank",
@@ -164,7 +183,7 @@ def test_the_lytro_class_array_covers_its_sensor() -> None:
         assert abs(array - sensor) < 0.5 * camera.mla.pitch_mm
 
 
-@pytest.mark.parametrize("name", ["first_light", "emitting_plane", "hexagonal", "lytro_class"])
+@pytest.mark.parametrize("name", ["first_light", "emitting_plane", "hexagonal", "lytro_class", "metalens_array"])
 def test_micro_images_fill_their_pitch_and_do_not_overlap(name: str) -> None:
     report = first_order(load(ASSETS / "scenes" / f"{name}.toml"))
     assert 0.97 < report.micro_image_diameter_px / report.micro_image_pitch_px <= 1.0

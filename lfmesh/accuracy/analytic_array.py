@@ -87,8 +87,7 @@ def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletA
     lattice = Lattice(
         mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
     )
-    # A flat face with a phase has no radius.
-    radii = np.asarray(mla.radius_mm or (np.inf,), np.float64)
+    radii = np.asarray(mla.radii_mm, np.float64)
     # The form errors are data, drawn from the scene's seed; their effect on rays is computed here.
     drawn = lenslets(
         lattice, radii, mla.thickness_mm,

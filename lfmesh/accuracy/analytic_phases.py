@@ -12,7 +12,6 @@ import numpy as np
 from lfmesh.accuracy.analytic_rays import Array
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import Medium, refractive_index
-from lfmesh.scene import Scene
 from lfmesh.scene.camera.phase import (
     AnyPhase,
     GratingPhase,
@@ -73,13 +72,6 @@ class DiffractionOrder:
 def pi_of(kind: type) -> Any:
     """Return π to the precision of a type."""
     return 4 * np.arctan(kind(1))
-
-
-def has_phases(scene: Scene) -> bool:
-    """Tell whether a surface of the lens or a face of the array has a phase."""
-    mla = scene.camera.mla
-    faces = [] if mla is None else [mla.curved_phase, mla.flat_phase]
-    return any(each is not None for each in (*(s.phase for s in scene.camera.lens.surfaces), *faces))
 
 
 def only_order(

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.accuracy import analytic
-from lfmesh.accuracy.analytic_phases import has_phases
 from lfmesh.geometry.array.array_mesh import cell_pattern
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.geometry.frame import points
@@ -281,7 +280,8 @@ def _lenslet_triangles(scene: Scene) -> int:
 
 def levels_of(scene: Scene) -> tuple[str, ...]:
     """Return the levels of `surface` that a scene can be traced at: a phase needs exact surfaces."""
-    return tuple(level for level in LEVELS if level == "exact" or not has_phases(scene))
+    has_phases = any(True for _ in scene.phases())
+    return tuple(level for level in LEVELS if level == "exact" or not has_phases)
 
 
 def order_of(rows: Sequence[LensRow]) -> float:

@@ -394,8 +394,16 @@ def phase_on_the_lens(draft: Draft, dice: Dice) -> bool | None:
     if not faces or draft.transport.get("polarisation"):
         return False
     surface = dice.one_of(*faces)
-    radius, power = draft.semi_mm, dice.both_signs(0.02, 0.2) / draft.focal_mm
-    surface["phase"] = with_light(phase_of(dice, radius, power), dice, dice.one_of(0, 3))
+    power = dice.both_signs(0.02, 0.2) / draft.focal_mm
+    phase = with_light(phase_of(dice, draft.semi_mm, power), dice, dice.one_of(0, 3))
+    if phase["kind"] == "grating":
+        # Paraxial rays do not tell the beams that it turns.
+        if any("radius_mm" not in s and not s.get("stop") for s in draft.surfaces):
+            return False
+        for s in draft.curved:
+            if not s.get("stop"):
+                s.setdefault("semi_diameter_mm", rounded(1.1 * draft.semi_mm))
+    surface["phase"] = phase
     return None
 
 

@@ -131,7 +131,7 @@ def depth(
     far_mm: Annotated[float | None, Parameter(help="Farthest distance to search, mm (default: the far end).")] = None,
     samples: Annotated[Whole, Parameter(help="Rays per raw pixel for its true depth.")] = 16,
 ) -> int:
-    """Find the depth of what a run shows: the truth by tracing, the estimate from its light field, and its error.
+    """Estimate the depth of a run's scene from its light field, and state the error against the traced true depth.
 
     Media and particles have no true depth, only an estimate.
     """
@@ -177,7 +177,7 @@ def expose(
     black_level: Annotated[Whole, Parameter(help="Count of a pixel without electrons.")] = 64,
     seed: Annotated[Whole, Parameter(help="Seed of the noise.")] = 0,
 ) -> int:
-    """Add what a detector counts: photons, wells, noise and conversion. The image of the run stays as it is."""
+    """Add a detector's counts to a run: photons, full wells, noise and conversion. Its image does not change."""
     with defer_interrupt():
         from lfmesh.files import run as runs
         from lfmesh.files.exposed import save_exposed

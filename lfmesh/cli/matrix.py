@@ -67,7 +67,7 @@ def matrix(
     ] = None,
     overrides: Overrides | None = None,
 ) -> int:
-    """Write what every pixel detects of every voxel of an emitting grid: a sparse matrix with standard errors.
+    """Write a sparse matrix with standard errors: the light on every pixel from every voxel of an emitting grid.
 
     The same command continues an interrupted one, to the same bits. At the end it prints the camera's resolution along
     the axes of the box, and the number of features of a volume that stand out of noise of 1 %.

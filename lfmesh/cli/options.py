@@ -51,7 +51,7 @@ def share_of(text: str | None) -> tuple[int, int] | None:
 @Parameter(name="*")
 @dataclass
 class Overrides:
-    """Settings that replace those of the scene's [transport] table."""
+    """Settings that override the scene's [transport] table."""
 
     samples: Annotated[
         Whole | None, Parameter(help="Total samples per pixel; 4 times as many at least halve the noise.")

@@ -36,7 +36,7 @@ def demo(
 
 @app.command
 def check(scene: SceneFile, /) -> int:
-    """Check a scene file and print its first-order optics and where its targets, media and particles stand, with notes.
+    """Check a scene file; print its first-order optics, the positions of its targets, media and particles, and notes.
 
     Loads every mesh and picture, and traces nothing but a few rays of particles that are to be pictured by waves.
 
@@ -134,7 +134,7 @@ def render(
     that was killed, to the same bits as without the break.
 
     --shard traces one part of the samples here, and --merge combines the parts into a run; --dask divides the work
-    among the workers of a cluster. The bits are those of a single machine.
+    among the workers of a cluster. The result has the same bits as on a single machine.
     """
     ways = {"--resume": resume, "--merge": merge, "--shard": shard, "--dask": dask}
     if len(given := [name for name, value in ways.items() if value is not None]) > 1:
@@ -160,7 +160,7 @@ def render(
 
 @app.command
 def white(run: RunFolder, /, *, overrides: Overrides | None = None) -> int:
-    """Render what the camera of a run records of a uniform plane, and trace where its micro-images lie.
+    """Render the white image of a run's camera, which looks at a uniform plane, and trace its micro-image centres.
 
     Adds white.exr and calibration.json to the run; the settings of the run hold unless replaced.
     """

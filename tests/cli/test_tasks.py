@@ -33,6 +33,18 @@ def test_help_begins_with_an_example_that_the_command_takes(words: str, capsys: 
     assert "lfmesh demo" not in out.split("Usage: ")[1].removeprefix("lfmesh demo"), "examples of other commands"
 
 
+INVERTED = r"\bwhat\b|\bof which\b|\bthose (?:that|of|which|from|in)\b"
+"""Signs of a clause in place of a noun."""
+
+
+@pytest.mark.parametrize("words", EXAMPLES)
+def test_help_names_things_by_nouns(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*words.split(), "--help"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    places = [out[max(0, hit.start() - 30) : hit.end() + 30] for hit in re.finditer(INVERTED, out, re.IGNORECASE)]
+    assert not places
+
+
 @pytest.mark.parametrize("words", EXAMPLES)
 def test_examples_fit_a_terminal_of_80_columns_and_can_be_pasted(
     words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

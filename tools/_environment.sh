@@ -10,6 +10,9 @@
 #
 # Afterwards $root is the project's folder and $environment that of its environment. Everything said here goes to
 # stderr, so that the output of a command can be redirected.
+#
+# Nothing is ever installed into the environment of another folder. A link to one is refused; a copy, which came with
+# the folder, is made anew.
 
 root=$(CDPATH='' cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
 environment=$root/.venv${LFMESH_PYTHON:+-${LFMESH_PYTHON##*/}}
@@ -17,6 +20,9 @@ environment=$root/.venv${LFMESH_PYTHON:+-${LFMESH_PYTHON##*/}}
 # Says which pyproject.toml was installed for which folder and purpose. It is removed before an installation and
 # written after it, so an interrupted one is done again.
 stamp=$environment/lfmesh-installed
+
+# Each of these would send an installation elsewhere.
+unset PYTHONHOME PIP_PREFIX PIP_PYTHON PIP_ROOT PIP_TARGET PIP_USER
 
 say() {
     printf 'lfmesh: %s\n' "$*" >&2
@@ -103,13 +109,36 @@ up_to_date() {
     [ "$(rank "$(tail -n 1 "$stamp")")" -ge "$(rank "$1")" ]
 }
 
+# Whether the environment on disk was made for this folder. The stamp says for which one, or else venv's own record,
+# "command = PYTHON -m venv OPTIONS FOLDER". A python that leads elsewhere would install there.
+made_here() {
+    local line folder=''
+    if [ -f "$stamp" ]; then
+        [ "$(head -n 1 "$stamp")" = "$root" ] || return 1
+    elif [ -f "$environment/pyvenv.cfg" ]; then
+        while IFS= read -r line || [ -n "$line" ]; do
+            case $line in
+                'command = '*' -m venv'*' /'*) folder=/${line##* /} ;;
+            esac
+        done <"$environment/pyvenv.cfg"
+        [ -z "$folder" ] || [ "$folder" -ef "$environment" ] || return 1
+    fi
+    line=$("$environment/bin/python" -c 'import os, sys; print(os.path.realpath(sys.prefix))' 2>/dev/null </dev/null)
+    [ "$line" = "$environment" ]
+}
+
 install_project() {
     local purpose=$1 installed
+    if [ -L "$environment" ]; then
+        say "${environment##*/} is a link to $(readlink -- "$environment"), and nothing is installed into an environment"
+        say "of another folder. Remove the link, and this folder gets its own, or call that environment's bin/python."
+        return 1
+    fi
     if [ -f "$stamp" ]; then
         installed=$(tail -n 1 "$stamp")
         [ "$(rank "$installed")" -le "$(rank "$purpose")" ] || purpose=$installed
     fi
-    if ! "$environment/bin/python" -m pip --version >/dev/null 2>&1; then
+    if ! made_here || ! "$environment/bin/python" -m pip --version >/dev/null 2>&1; then
         local python
         python=$(find_python) || return 1
         say "making ${environment##*/} with $python"

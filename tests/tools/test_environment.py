@@ -11,19 +11,22 @@ ROOT = Path(__file__).resolve().parents[2]
 
 SYSTEM_TOOLS = (
     *("bash", "env", "cat", "cksum", "cp", "chmod", "dirname", "flock", "grep", "head", "ls"),
-    *("mkdir", "mv", "rm", "sleep", "tail", "touch"),
+    *("mkdir", "mv", "readlink", "rm", "sleep", "tail", "touch"),
 )
 
-# Called as `python -c` (is it new enough?), `-m venv`, `-m pip` and `-m pytest`, like the real one.
+# Called as `python -c` (is it new enough? where does it install?), `-m venv`, `-m pip` and `-m pytest`, like the real
+# one.
 PYTHON = """#!/usr/bin/env bash
 case "$1 ${2-} ${3-}" in
+'-c import os'*) cd "$(dirname "$0")/.." && pwd -P ;;
 '-m venv '*)
     echo "venv" >>"$LOG"
     mkdir -p "$3/bin"
+    echo "command = $0 -m venv $3" >"$3/pyvenv.cfg"
     cp "$0" "$3/bin/python" ;;
 '-m pip --version') ;;
 '-m pip install')
-    echo "pip ${!#}" >>"$LOG"
+    echo "pip ${!#}${PIP_TARGET+ into $PIP_TARGET}${PIP_PYTHON+ of $PIP_PYTHON}" >>"$LOG"
     sleep "${PIP_SECONDS:-0}"
     [ ! -e "$LOG.fail" ] || exit 1
     printf '#!/usr/bin/env bash\\necho "in $PWD:"\\nprintf "<%%s>" "$@"\\nexit 7\\n' >"$(dirname "$0")/lfmesh"
@@ -187,12 +190,66 @@ def test_two_commands_at_once_install_once(machine: Machine) -> None:
     assert sum("waiting for another command" in text for text in said) == 1
 
 
-def test_a_copied_checkout_does_not_use_the_installation_of_the_original(machine: Machine) -> None:
+def test_a_moved_checkout_gets_an_environment_of_its_own(machine: Machine) -> None:
     machine.run("run")
-    machine.root.rename(machine.root.with_name("moved"))
-    machine.root = machine.root.with_name("moved")
+    machine.root = machine.root.rename(machine.root.with_name("moved"))
     machine.run("run")
-    assert machine.done == ["venv", "pip .[browser]", "pip .[browser]"]
+    machine.run("run")
+    assert machine.done == ["venv", "pip .[browser]", "venv", "pip .[browser]"]
+
+
+@pytest.mark.parametrize("kept", ["lfmesh-installed", "pyvenv.cfg"])
+def test_a_copied_environment_is_not_used(machine: Machine, kept: str) -> None:
+    """Either record of the original's folder is enough: an installation that was killed leaves no stamp."""
+    machine.run("test")
+    original = machine.root
+    machine.root = Path(shutil.copytree(original, original.with_name("copy"), symlinks=True))
+    for name in {"lfmesh-installed", "pyvenv.cfg"} - {kept}:
+        (machine.root / ".venv" / name).unlink()
+    (machine.root / ".venv" / "of the original").touch()
+    before = {path: path.stat().st_mtime_ns for path in original.rglob("*")}
+    machine.run("test")
+    assert machine.done == ["venv", "pip .[dev]", "venv", "pip .[dev]"]
+    assert not (machine.root / ".venv" / "of the original").exists()
+    assert {path: path.stat().st_mtime_ns for path in original.rglob("*")} == before
+
+
+@pytest.mark.parametrize("options", ["", '--copies --prompt="a /b" '])
+def test_an_environment_that_the_user_made_is_used(machine: Machine, options: str) -> None:
+    home = machine.root / ".venv"
+    (home / "bin").mkdir(parents=True)
+    (home / "pyvenv.cfg").write_text(f"command = /usr/bin/python3 -m venv {options}{home}")
+    shutil.copy(machine.bin / "python3.12", home / "bin" / "python")
+    machine.run("run")
+    assert machine.done == ["pip .[browser]"]
+
+
+def test_nothing_is_installed_through_a_link_to_another_environment(machine: Machine) -> None:
+    machine.run("run")
+    original = machine.root / ".venv"
+    machine.root = Path(shutil.copytree(machine.root, machine.root.with_name("other"), ignore=lambda *_: [".venv"]))
+    (machine.root / ".venv").symlink_to(original)
+    result = machine.run("test")
+    assert result.returncode == 1
+    assert f".venv is a link to {original}" in result.stderr
+    assert machine.done == ["venv", "pip .[browser]"]
+    assert (original / "lfmesh-installed").is_file()
+
+
+def test_a_python_that_leads_into_another_environment_is_replaced(machine: Machine) -> None:
+    machine.run("run")
+    machine.command("foreign", PYTHON.replace('cd "$(dirname "$0")/.." && pwd -P', "echo /another/.venv"))
+    python = machine.root / ".venv" / "bin" / "python"
+    python.unlink()
+    python.symlink_to(machine.bin / "foreign")
+    machine.run("test")
+    assert machine.done == ["venv", "pip .[browser]", "venv", "pip .[dev]"]
+    assert not python.is_symlink()
+
+
+def test_settings_of_the_shell_do_not_send_an_installation_elsewhere(machine: Machine) -> None:
+    machine.run("run", PIP_TARGET="/elsewhere", PIP_PYTHON="/elsewhere/bin/python")
+    assert machine.done == ["venv", "pip .[browser]"]
 
 
 @pytest.mark.parametrize(

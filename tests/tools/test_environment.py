@@ -31,6 +31,8 @@ case "$1 ${2-} ${3-}" in
     [ ! -e "$LOG.fail" ] || exit 1
     printf '#!/usr/bin/env bash\\necho "in $PWD:"\\nprintf "<%%s>" "$@"\\nexit 7\\n' >"$(dirname "$0")/lfmesh"
     chmod +x "$(dirname "$0")/lfmesh" ;;
+*/release.py*)
+    printf "releases from %s:" "${1%/tools/release.py}" ;;
 '-m pytest '*)
     shift 2
     echo "pytest in $PWD:"
@@ -153,6 +155,13 @@ def test_a_release_without_dry_run_is_refused_before_anything_is_installed(machi
     assert result.returncode == 2
     assert "publishes nothing" in result.stderr
     assert machine.done == []
+
+
+def test_a_dry_run_of_a_release_needs_no_environment_of_the_project(machine: Machine) -> None:
+    result = machine.run("release", "--dry-run")
+    assert (result.returncode, result.stdout) == (0, f"releases from {machine.root}:")
+    assert machine.done == []
+    assert not (machine.root / ".venv").exists()
 
 
 def test_tests_run_in_the_project_folder(machine: Machine) -> None:

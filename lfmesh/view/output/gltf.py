@@ -11,6 +11,7 @@ from trimesh.path.entities import Line
 from trimesh.visual.material import PBRMaterial
 
 from lfmesh.files.whole import write_whole
+from lfmesh.geometry.objects.texture import srgb_to_linear
 from lfmesh.view.scene3d.parts import Part
 from lfmesh.view.scene3d.plotter import View
 
@@ -35,14 +36,16 @@ def write_model(view: View, path: Path) -> None:
 
 
 def _body(part: Part, mesh: pv.PolyData) -> trimesh.Trimesh:
-    colour = pv.Color(part.look.get("color", "white"), opacity=float(part.look.get("opacity", 1.0)))
+    *coded, opacity = pv.Color(part.look.get("color", "white"), opacity=float(part.look.get("opacity", 1.0))).float_rgba
+    see_through = opacity < 1.0 or (part.picture is not None and part.picture.shape[2] == 4)
     material: dict[str, Any] = {
         "name": part.label,
-        "baseColorFactor": list(colour.int_rgba),
+        # glTF's factors are linear light.
+        "baseColorFactor": [*srgb_to_linear(np.array(coded)).tolist(), opacity],
         "metallicFactor": 0.0,
         "roughnessFactor": 0.3,
         "doubleSided": True,
-        "alphaMode": "BLEND" if colour.float_rgba[3] < 1.0 else "OPAQUE",
+        "alphaMode": "BLEND" if see_through else "OPAQUE",
     }
     uv = mesh.active_texture_coordinates
     if part.picture is not None and uv is not None:

@@ -18,10 +18,10 @@ from lfmesh.geometry.surfaces.tessellation import element
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.light.region import Region
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
-from lfmesh.transport.tables.spectra import reflectance_at
 from lfmesh.transport.tables.tables import MlaTables
 from lfmesh.transport.world import World
 from lfmesh.view.scene3d import array_shape
+from lfmesh.view.scene3d.base_colours import base_colours, paint
 from lfmesh.view.scene3d.colours import tint
 from lfmesh.view.scene3d.describe import lone_diffractive
 from lfmesh.view.scene3d.outlines import outline_of_medium, outline_of_sheet
@@ -48,6 +48,12 @@ CHIP = 1.18
 TICKS = 60
 """Most marks on the optical axis."""
 
+GLOWING = "#ffe9b0"
+"""Colour of emitting targets without a picture."""
+
+DARKEST = 0.25
+"""Smallest brightest channel of a target's colour, which would otherwise vanish before the background."""
+
 SYMBOL = 0.03
 """Size of a light's symbol relative to the scene."""
 
@@ -68,7 +74,7 @@ class Part:
     label : str
         The name, or a distinct name for a piece of a part: "mla plate".
     picture : (h, w, 3) uint8, optional
-        Picture on the part, placed by texture coordinates.
+        Picture on the part, placed by texture coordinates; the part's colour multiplies it. (h, w, 4) with its opacity.
     tiled : bool
         The picture repeats.
     edges : pyvista.PolyData, optional
@@ -104,7 +110,7 @@ def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, fl
         Point of a large array with real lenslets around it, in its own frame.
     """
     made = [*_lens(world), *_stop(world), *_array(world, near_mm), *_sensor(world, picture)]
-    made += [_target(world, i, target) for i, target in enumerate(world.targets)]
+    made += [part for i, target in enumerate(world.targets) for part in _target(world, i, target)]
     return [*made, *_lights(world), *_particles(world), *_media(world), *_signs(world)]
 
 
@@ -273,25 +279,42 @@ def _chip(world: World) -> pv.PolyData:
     return polydata(frames.points(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], box.points), box.regular_faces)
 
 
-def _target(world: World, number: int, target: TargetMesh) -> Part:
-    name = f"targets[{number}]"
-    model = world.scene.targets[number]
+def _target(world: World, number: int, target: TargetMesh) -> Iterator[Part]:
+    """Yield a body of glass, or the facets of a surface: one part for each base colour."""
+    name, model = f"targets[{number}]", world.scene.targets[number]
     if model.refractor is not None:
         colour = tint(refractive_index(model.refractor.medium, world.scene.primary_nm))
         glass = closed(target.mesh)
-        look = {"color": colour, "opacity": 0.25, "specular": 0.6}
-        return Part(name, "glass", smooth(glass), look, creases_of(glass), colour, solid=glass)
-    corners = target.mesh.vertices[target.mesh.faces].reshape(-1, 3)
-    body = polydata(corners, np.arange(len(corners)).reshape(-1, 3))
-    if target.texture is not None and target.uv is not None:
-        body.active_texture_coordinates = target.uv.reshape(-1, 2)
-        return Part(name, "target", body, {"lighting": False}, picture=srgb_encode(target.texture))
-    body = polydata(target.mesh.vertices, target.mesh.faces)
-    creases = creases_of(body)
-    grey = float(srgb_encode(reflectance_at(world.scene, number, (world.scene.primary_nm,))[0])) / 255.0
-    glows = model.material.emits
-    paint = "#ffe9b0" if glows else (max(0.25, grey),) * 3
-    return Part(name, "target", smooth(body), {"color": paint, "ambient": 1.0 if glows else 0.25}, creases, "#10151c")
+        shine = {"color": colour, "opacity": 0.25, "specular": 0.6}
+        yield Part(name, "glass", smooth(glass), shine, creases_of(glass), colour, solid=glass)
+        return
+    picture, glows = _picture_of(target), model.material.emits
+    for place, base in enumerate(base_colours(world, number)):
+        label = name if place == 0 else f"{name} colour {place + 1}"
+        faces = target.mesh.faces[base.facets]
+        look: dict[str, Any] = {"opacity": base.opacity}
+        if base.has_picture and target.uv is not None:
+            corners = target.mesh.vertices[faces].reshape(-1, 3)
+            body = polydata(corners, np.arange(len(corners)).reshape(-1, 3))
+            body.active_texture_coordinates = target.uv[base.facets].reshape(-1, 2)
+            look |= {"color": paint(base.colour), "lighting": False}
+            yield Part(name, "target", body, look, label=label, picture=picture)
+            continue
+        used, corner = np.unique(faces, return_inverse=True)
+        body = polydata(target.mesh.vertices[used], corner.reshape(-1, 3))
+        shines = glows and bool((base.colour == 1.0).all())
+        look |= {"color": GLOWING if shines else paint(base.colour, DARKEST), "ambient": 1.0 if glows else 0.25}
+        yield Part(name, "target", smooth(body), look, creases_of(body), "#10151c", label=label)
+
+
+def _picture_of(target: TargetMesh) -> Picture | None:
+    """Return the picture on a target, with its opacity as a fourth channel if it varies."""
+    if target.texture is None or target.uv is None:
+        return None
+    picture = srgb_encode(target.texture)
+    if target.alpha is None:
+        return picture
+    return np.dstack([picture, np.rint(255.0 * target.alpha).astype(np.uint8)])
 
 
 def scene_size_mm(world: World) -> float:

@@ -211,11 +211,13 @@ class View:
         for actor in self._of_actor:
             self.plotter.remove_actor(actor, render=False)
         self._of_actor = {}
+        # Parts of a target share its picture.
+        textures = {id(part.picture): texture_of(part) for part in self._parts if part.picture is not None}
         for number, part in enumerate(self._parts):
             mesh = self._shown(part)
             label = f"{part.label} {number}"
             if mesh.n_cells:
-                self._add(part, mesh, name=label, texture=texture_of(part), **part.look)
+                self._add(part, mesh, name=label, texture=textures.get(id(part.picture)), **part.look)
             edges = self._cut_edges(part, mesh)
             if edges is not None and edges.n_cells:
                 self._add(

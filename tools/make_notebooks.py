@@ -40,6 +40,8 @@ def executed(path: Path) -> nbformat.NotebookNode:
         cell.metadata.pop("execution", None)
         for output in cell.get("outputs", []):
             shown = output.get("data", {})
+            if "<iframe" in shown.get("text/html", ""):  # a scene that turns is too large to keep
+                shown.pop("text/html")
             if "text/html" in shown or "image/jpeg" in shown:  # they hold the same picture
                 shown.pop("image/png", None)
             if "image/png" in shown:

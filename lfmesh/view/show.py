@@ -3,7 +3,7 @@
 import io
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, Unpack
 
@@ -21,9 +21,13 @@ from lfmesh.transport.world import World
 from lfmesh.view.rays.filters import parse
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.request import Launched, LaunchOptions, Subject, launched, subject_of
+from lfmesh.view.scene3d.array_shape import FINE, SMALL, Detail
 from lfmesh.view.scene3d.colours import FAINT_TEXT, ColourBy
 from lfmesh.view.scene3d.gl import Probe, has_display
 from lfmesh.view.scene3d.plotter import Drawing, View, build_view
+
+CELL_SEGMENTS = 4000
+"""Default of `most_segments` in a notebook, whose cells hold all data."""
 
 WITH_INSET = ("whole", "side")
 INSET, INSET_PLACE = 0.3, (0.15, 0.04)
@@ -111,8 +115,8 @@ def show(
 ) -> PIL.Image.Image | None:
     """Show a scene in 3D with rays.
 
-    In a notebook it returns the picture; in a script it opens a window and waits until it is closed. With an output
-    file it writes that instead.
+    A notebook shows a page to turn and zoom, which needs the extra `browser`, below the cell. A script opens a window
+    and waits until it is closed. With an output file it writes that instead.
 
     Parameters
     ----------
@@ -127,7 +131,7 @@ def show(
     Returns
     -------
     PIL.Image.Image or None
-        The picture, in a notebook.
+        The picture, in a notebook, which shows it as a page.
 
     Other Parameters
     ----------------
@@ -145,7 +149,7 @@ def show(
         Cut lens and array along the axis; rays stay whole.
     size : (width, height), pixels
     most_segments : int
-        Above this, a selection of whole paths is drawn, and the caption gives their number.
+        Above this, a selection of whole paths is drawn, and the caption gives their number (in a notebook: 4000).
     screenshot, html, gltf : path
         PNG; self-contained page; binary glTF model (.glb).
 
@@ -155,6 +159,7 @@ def show(
         Nothing can be drawn here, a setting is out of range, or a file cannot be written.
     """
     given: dict[str, Any] = dict(options)
+    few_segments = "most_segments" not in given
     drawing, outputs = _taken(Drawing, given), _taken(Outputs, given)
     unknown = sorted(given.keys() - LaunchOptions.__annotations__.keys())
     if unknown:
@@ -167,15 +172,24 @@ def show(
     with Probe() as probe:
         seen = look(subject, rays, filter, **given)
         probe.check()
+    if inline:
+        return _inline(seen, replace(drawing, most_segments=CELL_SEGMENTS) if few_segments else drawing)
     made = draw_seen(seen, drawing, off_screen=not windowed)
     outputs.write(made)
-    if inline:
-        return picture_of(made)
     if windowed:
         from lfmesh.view.output.window import open_window
 
         open_window(made)
     return None
+
+
+def _inline(seen: Seen, drawing: Drawing) -> PIL.Image.Image:
+    """Return the picture of a subject as a notebook shows it."""
+    from lfmesh.view.output.cell import shown_in_cell
+    from lfmesh.view.output.html import has_extra
+
+    made = draw_seen(seen, drawing, detail=SMALL if has_extra() else FINE)
+    return shown_in_cell(made, picture_of(made))
 
 
 def _taken(kind: type[Taken], options: dict[str, Any]) -> Taken:
@@ -217,7 +231,7 @@ def look(
     return Seen(what, shown.rays, kept, chosen, caption, shown.near_mm)
 
 
-def draw_seen(seen: Seen, drawing: Drawing, *, off_screen: bool = True) -> View:
+def draw_seen(seen: Seen, drawing: Drawing, *, off_screen: bool = True, detail: Detail = FINE) -> View:
     """Draw a subject and its chosen rays.
 
     Parameters
@@ -226,10 +240,11 @@ def draw_seen(seen: Seen, drawing: Drawing, *, off_screen: bool = True) -> View:
     drawing : Drawing
     off_screen : bool
         Without a window.
+    detail : Detail
     """
     return build_view(
         seen.subject.world, seen.rays, seen.subject.picture, drawing,
-        off_screen=off_screen, near_mm=seen.near_mm, caption=seen.caption,
+        off_screen=off_screen, near_mm=seen.near_mm, caption=seen.caption, detail=detail,
     )  # fmt: skip
 
 

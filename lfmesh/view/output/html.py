@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,11 @@ FOREIGN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/[^`\"']*")
 """The only thing that vtk.js would fetch: its own icons."""
 
 
+def has_extra() -> bool:
+    """Tell whether the packages that make pages are installed."""
+    return find_spec("trame_pyvista") is not None
+
+
 def write_page(view: View, path: Path) -> None:
     """Write a view as a page.
 
@@ -67,10 +73,13 @@ def write_page(view: View, path: Path) -> None:
     LfmeshError
         The packages of the extra "browser" are missing, or the file cannot be written.
     """
-    try:
-        import trame_pyvista  # noqa: F401
-    except ImportError:
-        raise LfmeshError('a page needs the packages of the extra "browser": pip install "lfmesh[browser]"') from None
+    if not has_extra():
+        raise LfmeshError('a page needs the packages of the extra "browser": pip install "lfmesh[browser]"')
+    write_whole(path, page_of(view))
+
+
+def page_of(view: View) -> str:
+    """Return a view as the text of a page; needs the packages of the extra "browser"."""
     preset = view.preset
     view.look(preset, aspect=ASPECT, angle_deg=ANGLE_DEG)
     try:
@@ -81,7 +90,7 @@ def write_page(view: View, path: Path) -> None:
             page = raw.read_text(encoding="utf-8")
     finally:
         view.look(preset)
-    write_whole(path, captioned(page, view))
+    return captioned(page, view)
 
 
 @contextmanager

@@ -18,9 +18,6 @@ MOST_LENSLETS = 10_000
 PATCH = 31
 """Columns and rows of real lenslets on such a plate."""
 
-TRIANGLES = 150_000
-"""Approximate number of triangles in the curved face; fewer lenslets are drawn more finely."""
-
 FINEST, COARSEST = 12, 4
 """Limits on the subdivisions of a cell."""
 
@@ -34,6 +31,39 @@ BORDER = 0.06
 BORDER_RGB, CELL_RGB = (160, 192, 206), (205, 232, 242)
 
 
+class Detail(NamedTuple):
+    """Fineness of a drawing.
+
+    Attributes
+    ----------
+    most_lenslets : int
+        Larger arrays are drawn as a plate with a patch of real lenslets.
+    patch : int
+        Columns and rows of that patch.
+    triangles : int
+        Approximate number of triangles in the curved face; fewer lenslets are drawn more finely.
+    rings : int
+        Most rings of triangles of a lens surface.
+    picture_px : int
+        Longest side of a picture on a target or sensor.
+    is_single : bool
+        Coordinates in single precision.
+    """
+
+    most_lenslets: int
+    patch: int
+    triangles: int
+    rings: int
+    picture_px: int
+    is_single: bool
+
+
+FINE = Detail(MOST_LENSLETS, PATCH, 150_000, 1000, 2**16, is_single=False)
+
+SMALL = Detail(400, 15, 12_000, 12, 512, is_single=True)
+"""For scenes in notebooks, whose cells hold all data."""
+
+
 class Caps(NamedTuple):
     """Curved faces of lenslets: points (n, 3), normals (n, 3), triangles (m, 3), and lenslet of each triangle (m,)."""
 
@@ -43,9 +73,9 @@ class Caps(NamedTuple):
     cells: NDArray[np.int64]
 
 
-def is_large(lattice: Lattice) -> bool:
+def is_large(lattice: Lattice, detail: Detail = FINE) -> bool:
     """Tell whether an array has too many lenslets to draw."""
-    return lattice.columns * lattice.rows > MOST_LENSLETS
+    return lattice.columns * lattice.rows > detail.most_lenslets
 
 
 def all_cells(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -54,16 +84,25 @@ def all_cells(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return columns.ravel(), rows.ravel()
 
 
-def cells_near(lattice: Lattice, near_mm: tuple[float, float]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the columns and rows of the lenslets in a patch around a point of the array."""
-    column, row = (place - PATCH // 2 for place in cell_of(lattice, *near_mm))
-    columns = np.arange(max(column, 0), min(column + PATCH, lattice.columns))
-    rows = np.arange(max(row, 0), min(row + PATCH, lattice.rows))
+def cells_near(
+    lattice: Lattice, near_mm: tuple[float, float], detail: Detail = FINE
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the columns and rows of the lenslets in a patch around a point of the array.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    near_mm : (x, y), mm
+    detail : Detail
+    """
+    column, row = (place - detail.patch // 2 for place in cell_of(lattice, *near_mm))
+    columns = np.arange(max(column, 0), min(column + detail.patch, lattice.columns))
+    rows = np.arange(max(row, 0), min(row + detail.patch, lattice.rows))
     grid = np.meshgrid(columns, rows)
     return grid[0].ravel(), grid[1].ravel()
 
 
-def caps(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> Caps:
+def caps(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64], detail: Detail = FINE) -> Caps:
     """Return the curved faces of some lenslets.
 
     Parameters
@@ -71,10 +110,11 @@ def caps(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> 
     mla : Lenslets
     columns, rows : (n,) int64
         Indices of the lenslets.
+    detail : Detail
     """
     lattice = mla.lattice
     triangles = 6 if lattice.hexagonal else 1
-    fineness = int(np.sqrt(TRIANGLES / max(1, len(columns) * triangles)))
+    fineness = int(np.sqrt(detail.triangles / max(1, len(columns) * triangles)))
     pattern, faces = cell_pattern(lattice, int(np.clip(fineness, COARSEST, FINEST)))
     shapes = _shapes(mla, columns, rows)
     centres = lattice.centres()[rows, columns]

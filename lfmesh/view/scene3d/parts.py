@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import PIL.Image
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
 
@@ -22,6 +23,7 @@ from lfmesh.transport.tables.tables import MlaTables
 from lfmesh.transport.world import World
 from lfmesh.view.media import shown_media
 from lfmesh.view.scene3d import array_shape
+from lfmesh.view.scene3d.array_shape import FINE, Detail
 from lfmesh.view.scene3d.base_colours import base_colours, paint
 from lfmesh.view.scene3d.colours import tint
 from lfmesh.view.scene3d.describe import lone_diffractive
@@ -100,7 +102,9 @@ class Part:
         self.label = self.label or self.name
 
 
-def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, float] = (0.0, 0.0)) -> list[Part]:
+def parts(
+    world: World, picture: Picture | None = None, near_mm: tuple[float, float] = (0.0, 0.0), detail: Detail = FINE
+) -> list[Part]:
     """Return all drawn parts of a scene except the rays.
 
     Parameters
@@ -110,10 +114,24 @@ def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, fl
         Picture on the sensor, in physical orientation.
     near_mm : (x, y), mm
         Point of a large array with real lenslets around it, in its own frame.
+    detail : Detail
     """
-    made = [*_lens(world), *_stop(world), *_array(world, near_mm), *_sensor(world, picture)]
+    made = [*_lens(world, detail), *_stop(world), *_array(world, near_mm, detail), *_sensor(world, picture)]
     made += [part for i, target in enumerate(world.targets) for part in _target(world, i, target)]
+    _reduce_pictures(made, detail.picture_px)
     return [*made, *_lights(world), *_particles(world), *_media(world), *_signs(world)]
+
+
+def _reduce_pictures(made: list[Part], longest_px: int) -> None:
+    """Reduce larger pictures; parts of a target go on to share theirs."""
+    reduced: dict[int, Picture] = {}
+    for part in made:
+        if part.picture is not None:
+            factor = -(-max(part.picture.shape[:2]) // longest_px)
+            if factor > 1 and id(part.picture) not in reduced:
+                picture = PIL.Image.fromarray(np.ascontiguousarray(part.picture))
+                reduced[id(part.picture)] = np.asarray(picture.reduce(factor))
+            part.picture = reduced.get(id(part.picture), part.picture)
 
 
 def texture_of(part: Part) -> pv.Texture | None:
@@ -149,8 +167,8 @@ def creases_of(body: pv.PolyData) -> pv.PolyData:
     return body.extract_feature_edges(CREASE_DEG, boundary_edges=True, non_manifold_edges=False, manifold_edges=False)
 
 
-def _lens(world: World) -> Iterator[Part]:
-    shape = solved_camera(world.scene).lens_shape(max(RINGS, world.lens_shape.rings))
+def _lens(world: World, detail: Detail) -> Iterator[Part]:
+    shape = solved_camera(world.scene).lens_shape(min(max(RINGS, world.lens_shape.rings), detail.rings))
     to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
     wavelength = world.scene.primary_nm
     for number, k in enumerate(shape.elements):
@@ -191,27 +209,29 @@ def _stop(world: World) -> Iterator[Part]:
     )
 
 
-def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
+def _array(world: World, near_mm: tuple[float, float], detail: Detail) -> Iterator[Part]:
     if not world.tables.mla.present:
         return
     mla = world.scene.camera.mla
     assert mla is not None
     glass = {"color": tint(refractive_index(mla.medium, world.scene.primary_nm)), "opacity": 0.3}
     tables = world.tables.mla
-    yield from _lenslets(world, tables, glass, near_mm)
+    yield from _lenslets(world, tables, glass, near_mm, detail)
     if tables.back is not None:
-        yield from _lenslets(world, tables.back, glass, near_mm)
+        yield from _lenslets(world, tables.back, glass, near_mm, detail)
     plate = _plate(world, tables.lenslets.valley)
     outline = plate.extract_feature_edges(CREASE_DEG)
     yield Part("mla", "array", plate, glass, edges=outline, edge_colour="#79d0dc", label="mla plate")
 
 
-def _lenslets(world: World, face: MlaTables, glass: dict[str, Any], near_mm: tuple[float, float]) -> Iterator[Part]:
+def _lenslets(
+    world: World, face: MlaTables, glass: dict[str, Any], near_mm: tuple[float, float], detail: Detail
+) -> Iterator[Part]:
     """Yield the lenslets of a face of the array and, for a large array, the lattice of the others."""
     lenslets, to_world = face.lenslets, world.tables.frames[face.frame, WORLD_FRAME]
-    lattice, near = lenslets.lattice, array_shape.cells_near(lenslets.lattice, near_mm)
-    large = array_shape.is_large(lattice)
-    curved = array_shape.caps(lenslets, *(near if large else array_shape.all_cells(lattice)))
+    lattice, near = lenslets.lattice, array_shape.cells_near(lenslets.lattice, near_mm, detail)
+    large = array_shape.is_large(lattice, detail)
+    curved = array_shape.caps(lenslets, *(near if large else array_shape.all_cells(lattice)), detail)
     caps = polydata(frames.points(to_world, curved.points), curved.triangles)
     caps.point_data.active_normals = frames.directions(to_world, curved.normals)
     lines = array_shape.borders(lenslets, *near)

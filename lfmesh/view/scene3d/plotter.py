@@ -12,6 +12,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view.media import shown_media
+from lfmesh.view.scene3d.array_shape import FINE, Detail
 from lfmesh.view.scene3d.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend, default_colour
 from lfmesh.view.scene3d.gl import expect_no_display
 from lfmesh.view.scene3d.overlay import Overlay, in_words
@@ -63,10 +64,10 @@ class View:
 
     def __init__(
         self, world: World, picture: Picture | None = None, *, size: tuple[int, int] = SIZE,
-        off_screen: bool = True, near_mm: tuple[float, float] = (0.0, 0.0),
+        off_screen: bool = True, near_mm: tuple[float, float] = (0.0, 0.0), detail: Detail = FINE,
     ) -> None:  # fmt: skip
         self.world = world
-        self.near_mm = near_mm
+        self.near_mm, self.detail = near_mm, detail
         self.lines: RayLines | None = None
         self.ray_mesh: pv.PolyData | None = None
         self.ray_actor: Any = None
@@ -74,7 +75,7 @@ class View:
         self.legend: Legend | None = None
         self.preset = "whole"
         self._picture = picture
-        self._parts = parts(world, picture, near_mm)
+        self._parts = parts(world, picture, near_mm, detail)
         self._of_actor: dict[Any, Part] = {}
         self.is_cut = False
         expect_no_display()
@@ -148,7 +149,7 @@ class View:
         """Move the real lenslets of a large array, and the view "array", to a point (x, y) of the array's frame."""
         if place_mm != self.near_mm:
             self.near_mm = place_mm
-            self._parts = parts(self.world, self._picture, place_mm)
+            self._parts = parts(self.world, self._picture, place_mm, self.detail)
             self._draw_parts()
 
     def show_rays(
@@ -173,6 +174,7 @@ class View:
         if rays is not None and len(rays):
             self.lines = ray_lines(rays, most_segments)
             mesh, self.legend = self.lines.coloured(colour or default_colour(rays), fade=fade)
+            mesh = in_single_precision(mesh) if self.detail.is_single else mesh
             self.ray_mesh = mesh
             if mesh.n_cells:
                 self.ray_actor = self.plotter.add_mesh(
@@ -246,7 +248,8 @@ class View:
                     part, edges, name=f"{label} edges", color=part.edge_colour, line_width=EDGE_WIDTH, lighting=False
                 )
 
-    def _add(self, part: Part, mesh: pv.DataSet, **look: Any) -> None:
+    def _add(self, part: Part, mesh: pv.PolyData, **look: Any) -> None:
+        mesh = in_single_precision(mesh) if self.detail.is_single else mesh
         actor = self.plotter.add_mesh(mesh, reset_camera=False, render=False, copy_mesh=False, **look)
         self._of_actor[actor] = part
 
@@ -269,6 +272,15 @@ class View:
         """Return the plane of the cut, the camera's yz plane: its normal, towards the hidden half, and a point."""
         to_world = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
         return -to_world[:, 0], to_world[:, 3]
+
+
+def in_single_precision(mesh: pv.PolyData) -> pv.PolyData:
+    """Return a copy of a mesh with points and normals in single precision."""
+    small, normals = mesh.copy(), mesh.point_data.active_normals
+    small.points = np.asarray(mesh.points, dtype=np.float32)
+    if normals is not None:
+        small.point_data.active_normals = np.asarray(normals, dtype=np.float32)
+    return small
 
 
 @dataclass(frozen=True)
@@ -301,6 +313,7 @@ class Drawing:
 def build_view(
     world: World, rays: "Rays | None", picture: Picture | None, drawing: Drawing, *,
     off_screen: bool = True, near_mm: tuple[float, float] = (0.0, 0.0), caption: tuple[str, ...] = (),
+    detail: Detail = FINE,
 ) -> View:  # fmt: skip
     """Draw a world and its rays.
 
@@ -316,8 +329,9 @@ def build_view(
         Point of the array for a close view, in the array's frame.
     caption : tuple of str
         Lines between the title and the number of paths.
+    detail : Detail
     """
-    view = View(world, picture, size=drawing.size, off_screen=off_screen, near_mm=near_mm)
+    view = View(world, picture, size=drawing.size, off_screen=off_screen, near_mm=near_mm, detail=detail)
     view.cut(drawing.cut)
     view.show_rays(rays, drawing.colour, fade=drawing.fade, most_segments=drawing.most_segments)
     view.write(list(caption))

@@ -285,7 +285,7 @@ def study_images(
     error = math.sqrt(float((main.stderr**2).mean()) / power)
     typical = float(np.median(main.stderr[_lit(main)])) / math.sqrt(power)
     columns, lines = small.camera.sensor.pixels
-    name = scene.name or "the scene"
+    name = scene.title or "the scene"
     return ImageStudy(name, (columns, lines), binned, effort.reference, error, typical, tuple(rows))
 
 

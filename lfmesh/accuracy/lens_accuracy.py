@@ -245,7 +245,7 @@ def study_lens(
         The lens has a mesh from a file, or the scene cannot be built.
     """
     scene = bare(scene)
-    name = scene.camera.lens.name or scene.name or "lens"
+    name = scene.camera.lens.name or scene.title or "lens"
     ways = [(LENS_ALONE, lens_alone(scene))]
     if scene.camera.mla is not None:
         ways.append((WHOLE_CAMERA, scene))

@@ -116,7 +116,7 @@ def measure(
     pictured = scene if scene is not None else lfmesh.load(asset_path("scenes/first_light.toml"))
     lenses = tuple(study_lens(one, rings=rings, rays=rays, progress=progress) for one in scenes)
     images = study_images(pictured, effort, progress) if shines(pictured) else None
-    name = scene.name if scene is not None else "the lenses that come with lfmesh"
+    name = scene.title if scene is not None else "the lenses that come with lfmesh"
     return AccuracyReport(f"Accuracy of {name or 'an unnamed scene'}", lenses, images)
 
 

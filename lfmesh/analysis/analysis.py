@@ -326,7 +326,7 @@ def analyse(
     cut_off = 1e6 / (primary * facts.working_f_number)
     frequencies = np.linspace(0.0, FINEST_MTF * cut_off, FREQUENCIES)
     return LensAnalysis(
-        name=": ".join(dict.fromkeys(filter(None, (scene.name, world.scene.camera.lens.name)))) or "lens",
+        name=": ".join(dict.fromkeys(filter(None, (scene.title, world.scene.camera.lens.name)))) or "lens",
         first_order=facts,
         object_mm=object_mm,
         image_z_mm=facts.image_z_mm,

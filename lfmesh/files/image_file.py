@@ -208,7 +208,12 @@ def _digest(*parts: NDArray[Any]) -> str:
 def scene_metadata(scene: Scene, home: Path) -> dict[str, Any]:
     """Return the metadata that `scene_from` reads, for a file that will live in `home`."""
     scene = scene if scene.folder == home.resolve() and scene.digests else within(scene, home)
-    return {"scene_toml": scene.dump_toml(), "scene_folder": ".", "inputs": scene.digests}
+    return {
+        "scene_toml": scene.dump_toml(),
+        "scene_title": scene.title,
+        "scene_folder": ".",
+        "inputs": scene.digests,
+    }
 
 
 def scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
@@ -216,7 +221,7 @@ def scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
     table = parse_toml(metadata["scene_toml"])
     # Older files omit the number of replicates where it was the default, 8.
     table.setdefault("transport", {}).setdefault("replicates", REPLICATES)
-    scene = Scene(**table).in_folder(folder / metadata["scene_folder"])
+    scene = Scene(**table).in_folder(folder / metadata["scene_folder"]).titled(str(metadata.get("scene_title", "")))
     inputs = metadata.get("inputs", {})
     if not isinstance(inputs, dict) or not all(isinstance(digest, str) for digest in inputs.values()):
         raise ValueError("inputs are not digests by path")

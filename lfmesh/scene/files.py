@@ -68,7 +68,7 @@ def load(path: str | Path) -> Scene:
     path = Path(path)
     data = _read(path)
     _refuse_other_kind("scene", data, path)
-    return _scene(data, path.resolve().parent, str(path))
+    return _scene(data, path.resolve().parent, str(path)).titled(path.stem)
 
 
 def loads(text: str, folder: str | Path = ".") -> Scene:

@@ -37,6 +37,26 @@ class Scene(SceneParts, Shown):
             f"{_number(self.lights, 'light')}>"
         )
 
+    @property
+    def title(self) -> str:
+        """Name in reports: the scene's own, else that of its file without the ending; "" for a scripted scene."""
+        return self.name or self._title
+
+    def titled(self, title: str) -> "Scene":
+        """Return the same scene with a title, which counts unless it has a name.
+
+        Parameters
+        ----------
+        title : str
+
+        Returns
+        -------
+        Scene
+        """
+        copy = self.model_copy()
+        copy._title = title
+        return copy
+
     def at_line(self, wavelength_nm: float) -> "Scene":
         """Return the scene at a single wavelength, in place of its wavelengths or bands.
 
@@ -160,7 +180,7 @@ class Scene(SceneParts, Shown):
                     place[step] = {} if missing else opened(place[step])
                     place = place[step]
         scene = Scene(**data)
-        scene._folder, scene._digests = self._folder, dict(self._digests)
+        scene._folder, scene._digests, scene._title = self._folder, dict(self._digests), self._title
         scene._lens_table = table if solves else changed_table(table, values)
         return scene
 

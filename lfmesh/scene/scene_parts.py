@@ -50,6 +50,8 @@ class SceneParts(Model):
     transport: Transport = Field(default_factory=Transport)
     """Settings of a render."""
 
+    # Name of the file that the scene was read from.
+    _title: str = PrivateAttr(default="")
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
     _digests: dict[str, str] = PrivateAttr(default_factory=dict)
     # Lens table of a scene file that names a lens file, kept in case that file must be read with other choices.

@@ -201,7 +201,7 @@ def _(world: World) -> Rows:
     mla = world.scene.camera.mla
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(world.scene.targets)]
     return [
-        ("scene", world.scene.name or "unnamed"),
+        ("scene", world.scene.title or "unnamed"),
         ("lens", f"{counted(len(world.lens_shape.elements), 'element')}, f = {world.facts.efl_mm:.4g} mm"),
         ("array", "none" if mla is None else f"{mla.count[0]} × {mla.count[1]} lenslets"),
         ("sensor", "{} × {} pixels".format(*world.scene.camera.sensor.pixels)),
@@ -215,7 +215,7 @@ def _(scene: Scene) -> Rows:
     camera = scene.camera
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
     transport = scene.transport
-    rows = [("scene", scene.name or "unnamed"), ("targets", ", ".join(targets) or "none")]
+    rows = [("scene", scene.title or "unnamed"), ("targets", ", ".join(targets) or "none")]
     rows += [("lights", str(len(scene.lights))), ("sensor", "{} × {} pixels".format(*camera.sensor.pixels))]
     if camera.mla is not None:
         rows.append(("array", f"{camera.mla.count[0]} × {camera.mla.count[1]} lenslets"))

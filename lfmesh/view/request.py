@@ -90,7 +90,7 @@ def _run(folder: Path) -> Subject:
         if not (folder / name).is_file():
             raise FileError(f"{folder}: has no {name}; give a scene file, or a run folder from lfmesh render")
     # Pictures of older runs have the wrong orientation.
-    runs.report_of(folder)
+    report = runs.report_of(folder)
     try:
         with PIL.Image.open(folder / runs.PREVIEW) as preview:
             picture = _reduced(preview.convert("RGB"))
@@ -99,7 +99,7 @@ def _run(folder: Path) -> Subject:
             f"{folder / runs.PREVIEW}: cannot be read as a picture ({error}); render the run again"
         ) from None
     # Turn the upright preview back to the sensor's orientation.
-    scene = load(folder / runs.SCENE)
+    scene = load(folder / runs.SCENE).titled(str(report.get("scene_title", "")))
     return Subject(build(scene), np.ascontiguousarray(Upright.of(scene).picture(picture)))
 
 

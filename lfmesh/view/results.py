@@ -116,7 +116,7 @@ def _(image: Image) -> list[Panel]:
     pixel = image.scene.camera.sensor.pixel_mm
     return [
         _light(
-            image.scene.name or "raw image", upright(image.mean), image.wavelengths_nm, "W per pixel",
+            image.scene.title or "raw image", upright(image.mean), image.wavelengths_nm, "W per pixel",
             known=None if known is None else upright(known),
             size_mm=(columns * pixel, rows * pixel), place="on the sensor",
         )

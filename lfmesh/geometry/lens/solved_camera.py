@@ -105,7 +105,7 @@ def solved_camera(scene: Scene) -> SolvedCamera:
         return SolvedCamera(ready)
     own = _key(ready, ready.camera.lens)
     settings = ready.transport.surface, ready.transport.tessellation, ready.primary_nm
-    shapes = _shapes_of(ready.camera, *settings, *own[1:])
+    shapes = _shapes_of(ready.camera, *settings, *own[2:])
     with _lock:
         # A solved scene is its own solution.
         camera = _kept.setdefault(own, SolvedCamera(ready, shapes))
@@ -158,7 +158,7 @@ def _key(scene: Scene, lens: Lens) -> Key:
     """Return the cache key of a scene; `lens` is the scene's lens, read from its file if it names one."""
     held = (_files_of(part) for part in (lens, scene.camera.mla) if part is not None)
     files = tuple((place, path, file_stamp(scene.resolve(path))) for part in held for place, path in part)
-    return scene.digest, scene.folder, tuple(sorted(scene.digests.items())), lens, files
+    return scene.digest, scene.title, scene.folder, tuple(sorted(scene.digests.items())), lens, files
 
 
 @lru_cache(maxsize=KEPT)

@@ -17,7 +17,7 @@ TEMPLATE = Path(__file__).parents[1] / "templates" / "optimum.html"
 
 def page(found: Optimum) -> str:
     """Return the HTML page."""
-    name = found.first.name or "a camera"
+    name = found.first.title or "a camera"
     return filled(
         TEMPLATE,
         title=f"Optimised camera: {name}",

@@ -57,8 +57,8 @@ def page(table: Table) -> str:
     overview = _overview(table, columns, drawn)
     return filled(
         TEMPLATE,
-        title=plan.study.name or f"Study of {plan.base.name or 'a camera'}",
-        made_by=f"lfmesh {lfmesh.__version__}; reference: {plan.base.name or 'an unnamed scene'}",
+        title=plan.study.name or f"Study of {plan.base.title or 'a camera'}",
+        made_by=f"lfmesh {lfmesh.__version__}; reference: {plan.base.title or 'an unnamed scene'}",
         in_short=in_short(table),
         failed=[(words_of(table, row), row.point.number, row.fault) for row in table.failed if row.fault != "not done"],
         warned=[str(each) for each in table.warnings],

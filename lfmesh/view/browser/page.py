@@ -45,7 +45,7 @@ class Page:
         cut: bool = False,
     ) -> None:  # fmt: skip
         folder, rays = subject.folder, subject.rays
-        name = subject.scene.name or "unnamed scene"
+        name = subject.scene.title or "unnamed scene"
         server.state.update(
             {
                 "trame__title": f"{name} · lfmesh",

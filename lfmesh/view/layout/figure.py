@@ -96,7 +96,7 @@ def draw(scene: Scene, path: str | Path = "layout.svg") -> Path:
 def encoded(drawn: Layout, kind: str) -> bytes:
     """Return a layout as the bytes of an svg, png or pdf file."""
     with _style():
-        return encoded_figure(sheet_figure(drawn), kind, drawn.scene.name or "layout")
+        return encoded_figure(sheet_figure(drawn), kind, drawn.scene.title or "layout")
 
 
 @contextmanager
@@ -140,7 +140,7 @@ def _header(sheet: Sheet, drawn: Layout, x: float, y: float, width: float) -> No
         sheet.text(right, base, words, NORMAL)
         sheet.line([right - 0.38, right - 0.08], [base + 0.04] * 2, color=colour, lw=1.8)
         right -= 0.62
-    title, size = sheet.fitted(drawn.scene.name or "layout", right - x - 0.2, LARGE, bold=True)
+    title, size = sheet.fitted(drawn.scene.title or "layout", right - x - 0.2, LARGE, bold=True)
     sheet.text(x + 0.12, base, title, size, fontweight="bold")
     sheet.line([x, x + width], [y, y], lw=0.5)
 

@@ -101,8 +101,8 @@ class View:
 
     @property
     def title(self) -> str:
-        """Name of the scene."""
-        return self.world.scene.name or "unnamed scene"
+        """Title of the scene."""
+        return self.world.scene.title or "unnamed scene"
 
     @property
     def scale(self) -> str:

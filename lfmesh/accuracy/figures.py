@@ -114,7 +114,7 @@ def draw_efficiency(axes: Any, rows: Sequence[ImageRow]) -> None:
         places, values, xerr=errors, color=[colour for *_, colour, _ in ways], height=0.62, capsize=3, ecolor="#222222"
     )
     axes.set_yticks(list(places), [name for name, *_ in ways])
-    axes.set(xscale="log", xlabel="efficiency 1 / (MSE · time) / (1/s)")
+    axes.set(xscale="log", xlabel="efficiency 1/(MSE · time), 1/s")
     for place, value in zip(places, values, strict=True):
         axes.annotate(f"{value:.2g}", (value, place), xytext=(9, 0), textcoords="offset points", va="center")
     low, high = min(values), max(values)

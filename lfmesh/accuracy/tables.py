@@ -91,7 +91,7 @@ def image_columns(row: ImageRow) -> dict[str, str]:
         "time / s": f"{row.seconds:.2f}",
         "rms error": f"{row.mse**0.5:.3g}" if known else "?",
         "typical": f"{row.typical:.2g}",
-        "1/(MSE·t) / (1/s)": f"{row.efficiency:.2g}" if known else "?",
+        "1/(MSE·t), 1/s": f"{row.efficiency:.2g}" if known else "?",
         "±": f"{row.efficiency_error:.1g}" if known else "",
         "z": f"{row.bias_z:+.1f}",
     }

@@ -43,6 +43,7 @@ def dataset(
     Finished items are kept; the same command continues. Exits with 1 if an item could not be made.
     """
     with defer_interrupt():
+        from lfmesh.scene.literals import counted
         from lfmesh.study.datasets.dataset import Dataset
 
     share = share_of(shard)
@@ -66,10 +67,8 @@ def dataset(
     for number, reason in sorted(made.failed.items()):
         say_note(f"item {number}: {reason}")
     if made.noted:
-        from lfmesh.scene.literals import counted
-
         say_note(f"{counted(made.noted, 'item')} {'has' if made.noted == 1 else 'have'} notes, which the index holds")
-    print(f"{made.done} of {made.count} items are done.")
+    print(f"{made.done} of {counted(made.count, 'item')} {'is' if made.count == 1 else 'are'} done.")
     list_files([made.index])
     return CASE_FAILED if made.failed else 0
 

@@ -382,7 +382,7 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
     run.save_white(image, calibration, folder)
     print(
         f"{calibration.known.sum()} of {calibration.known.size} micro-images have a chief ray, "
-        f"{calibration.pitch_px:.6g} pixels apart, turned by {1e3 * calibration.rotation_rad:.3f} mrad."
+        f"{calibration.pitch_px:.6g} pixels apart, turned by {1e3 * calibration.rotation_rad:z.3f} mrad."
     )
     try:
         error = estimate_centres(image).error_px(calibration)

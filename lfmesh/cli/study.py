@@ -162,6 +162,7 @@ def progress_in_words(now: "Progress", things: str = "units", failing: str = "po
 
 
 def _report(table: "Table", out: Path, parquet: bool) -> int:
+    from lfmesh.scene.literals import counted
     from lfmesh.study.sweeps.sentences import largest_changes, metrics_not_known, yield_in_words
     from lfmesh.study.sweeps.study import PAGE, PARQUET, TABLE
 
@@ -179,7 +180,8 @@ def _report(table: "Table", out: Path, parquet: bool) -> int:
     missing = sum(row.fault == "not done" for row in table.rows)
     done = len(table.rows) - len(table.failed)
     others = f", {missing} of other shares {'is' if missing == 1 else 'are'} not" if missing else ""
-    print(f"{done} of {len(table.rows)} points are done{others}.")
+    total = len(table.rows)
+    print(f"{done} of {counted(total, 'point')} {'is' if total == 1 else 'are'} done{others}.")
     for line in (*yield_in_words(table), *largest_changes(table)):
         print(wrapped(line))
     list_files(files)

@@ -45,6 +45,14 @@ def _channels(wavelengths_nm: Sequence[float], names: Sequence[str] = ()) -> tup
     return f"wavelength{'s' if len(wavelengths_nm) > 1 else ''}", f"{shown} nm"
 
 
+def _distance(length_mm: float) -> str:
+    return f"{length_mm:,.6g} mm" if math.isfinite(length_mm) else "infinity"
+
+
+def _before_lens(length_mm: float) -> str:
+    return f"{_distance(length_mm)} before the first vertex" if math.isfinite(length_mm) else "infinity"
+
+
 @key_figures.register
 def _(image: Image) -> Rows:
     rows, columns = image.mean.shape[:2]
@@ -85,7 +93,7 @@ def _(field: LightField) -> Rows:
 def _(photograph: Photograph) -> Rows:
     height, width = photograph.mean.shape[:2]
     return [
-        ("focused on", f"{photograph.distance_mm:,.6g} mm before the first vertex"),
+        ("focused on", _before_lens(photograph.distance_mm)),
         ("aperture", f"f/{photograph.f_number:.3g}"),
         ("samples", f"{width} × {height}, {photograph.sample_mm:.3g} mm each in that plane"),
         _channels(photograph.wavelengths_nm),
@@ -98,7 +106,7 @@ def _(stack: FocalStack) -> Rows:
     planes = stack.distances_mm
     height, width = stack.photographs[0].mean.shape[:2]
     return [
-        ("planes", f"{len(planes)}, from {min(planes):,.5g} to {max(planes):,.5g} mm"),
+        ("planes", f"{len(planes)}, from {_distance(min(planes))} to {_distance(max(planes))}"),
         ("samples", f"{width} × {height}"),
         _channels(stack.photographs[0].wavelengths_nm),
         ("unit", stack.photographs[0].unit),
@@ -237,7 +245,7 @@ def _(spread: PointSpread) -> Rows:
         else ("lenslets lit", f"{spread.lenslets}")
     )
     return [
-        ("point", "({:g}, {:g}, {:g}) mm in the camera frame".format(*spread.point_mm)),
+        ("point", "({:zg}, {:zg}, {:zg}) mm in the camera frame".format(*spread.point_mm)),
         _channels(spread.wavelengths_nm),
         ("samples", f"{columns} × {rows}, {1e3 * spread.step_mm:.4g} µm each"),
         lit,

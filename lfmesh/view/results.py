@@ -142,7 +142,8 @@ def _(field: LightField) -> list[Panel]:
 def _(photograph: Photograph) -> list[Panel]:
     height, width = photograph.mean.shape[:2]
     sample = photograph.sample_mm
-    title = f"focused on {photograph.distance_mm:,.5g} mm"
+    at = photograph.distance_mm
+    title = f"focused on {at:,.5g} mm" if math.isfinite(at) else "focused on infinity"
     size = (width * sample, height * sample) if math.isfinite(sample) else None
     wavelengths = photograph.wavelengths_nm
     return [_light(title, photograph.mean, wavelengths, photograph.unit, size_mm=size, place="in the plane in focus")]

@@ -252,6 +252,8 @@ def test_in_a_notebook_progress_is_a_bar_that_ends_as_a_line(monkeypatch: pytest
 def test_a_field_whose_scale_is_not_known_has_no_axes(made: dict[str, Any]) -> None:
     far = lf.Photograph(made["photograph"].mean, made["photograph"].stderr, math.inf, 4.0, math.inf, (587.6,), "W")
     assert results.panels(far)[0].size_mm is None
+    assert results.panels(far)[0].title == "focused on infinity"
+    assert dict(results.key_figures(far))["focused on"] == "infinity"
 
 
 def test_names_with_unbalanced_mathematics_stand_in_figures_as_they_are(scene: lf.Scene, tmp_path: Path) -> None:

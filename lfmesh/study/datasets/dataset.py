@@ -22,6 +22,7 @@ from lfmesh.provenance import program
 from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene, load
 from lfmesh.scene.inputs import files_of
+from lfmesh.scene.literals import counted
 from lfmesh.scene.toml import table
 from lfmesh.study.datasets.dataset_file import DatasetFile, Draw, read_dataset
 from lfmesh.study.datasets.dataset_item import CAMERAS, ITEMS, Item, facts_of, make_camera, warnings_in
@@ -128,7 +129,7 @@ class Dataset:
         return dataset
 
     def __repr__(self) -> str:
-        return f"<Dataset: {len(self)} items, {', '.join(draw.path for draw in self.file.random)}>"
+        return f"<Dataset: {counted(len(self), 'item')}, {', '.join(draw.path for draw in self.file.random)}>"
 
     def __len__(self) -> int:
         return self.file.count or 0

@@ -92,7 +92,8 @@ class BoardFit:
     residuals: tuple[Array, ...]
 
     def __repr__(self) -> str:
-        return f"<BoardFit: {len(self.poses)} boards, {self.used} places, {self.rms:.3g} samples rms>"
+        boards, places = counted(len(self.poses), "board"), counted(self.used, "place")
+        return f"<BoardFit: {boards}, {places}, {self.rms:.3g} samples rms>"
 
     def __getitem__(self, path: str) -> Estimate:
         for each in self.estimates:

@@ -9,8 +9,8 @@ from pydantic import Field
 
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import Count, FractionOfOne, Number, ObjectDistance, Positive, Text, Whole
-from lfmesh.study.optimise.figures import FIGURES, figure_named
-from lfmesh.study.sweeps.axes import titled
+from lfmesh.study.optimise.figures import FIGURES, OF_REPORT, figure_named
+from lfmesh.study.sweeps.axes import name_and_unit, titled
 from lfmesh.study.sweeps.study_file import read_tables
 
 MOST_ACROSS, MOST_STARTS = 100, 10_000
@@ -91,9 +91,24 @@ class Goal(Model):
     @property
     def title(self) -> str:
         """Name of the figure in reports."""
-        at = [f"{self.per_mm:g} / mm"] if self.per_mm is not None else []
+        at = [f"{self.per_mm:g} per mm"] if self.per_mm is not None else []
         at += [f"field {self.field:g}"] if self.field is not None else []
         return f"{self.metric} ({', '.join(at)})" if at else self.metric
+
+    @property
+    def described(self) -> str:
+        """Name of the figure and what it is, without its unit."""
+        figure = figure_named(self.metric)
+        assert figure is not None
+        words = name_and_unit(figure.title)[0]
+        return self.title if figure.title == OF_REPORT else f"{self.title}: {words}"
+
+    @property
+    def unit(self) -> str:
+        """Unit of the figure; "" if it has none."""
+        figure = figure_named(self.metric)
+        assert figure is not None
+        return name_and_unit(figure.title)[1] or name_and_unit(titled(self.metric, None))[1]
 
 
 class Term(Goal):

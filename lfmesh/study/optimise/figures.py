@@ -118,6 +118,8 @@ CAMERA_FIGURES = {
 }  # fmt: skip
 """Figures of the solved scene in addition to the first-order report's."""
 
+OF_REPORT = "of the first-order report"
+
 FIRST_ORDER = tuple(field.name for field in fields(FirstOrder) if field.type in (float, float | None))
 """Numbers of the first-order report, by their names there."""
 
@@ -127,7 +129,7 @@ RENDERED = {column.name: column for metric in METRICS.values() for column in met
 FIGURES: dict[str, Figure] = {
     **SPOTS,
     **{name: Figure(each.title, "camera", shown=each.shown) for name, each in CAMERA_FIGURES.items()},
-    **{name: Figure("of the first-order report", "camera") for name in FIRST_ORDER},
+    **{name: Figure(OF_REPORT, "camera") for name in FIRST_ORDER},
     **{
         name: Figure(column.title, "render", 0.0 if column.worse == "high" else None)
         for name, column in RENDERED.items()

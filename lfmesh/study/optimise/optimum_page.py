@@ -41,7 +41,8 @@ def _in_short(found: Optimum) -> list[str]:
     if left and len(found.terms) > 1:
         worst = max(found.terms, key=lambda each: each.share_left)
         share = worst.share_left / left
-        lines.append(f"{100.0 * share:.0f} % of it comes from {worst.goal.title}, which is {worst.after:.6g}.")
+        reached = _with_unit(worst.after, worst.goal.unit)
+        lines.append(f"{100.0 * share:.0f} % of it comes from {worst.goal.title}, which is {reached}.")
     if found.constraints:
         lines.append(f"{len(found.constraints) - len(found.violated)} of {len(found.constraints)} limits are kept.")
     ends = [each.variable.title for each in found.variables if each.note.startswith("at the")]
@@ -50,12 +51,16 @@ def _in_short(found: Optimum) -> list[str]:
     return lines
 
 
+def _with_unit(value: float, unit: str) -> str:
+    return f"{value:.6g} {unit}".rstrip()
+
+
 def _cells(result: TermResult) -> list[str]:
     goal = result.goal
     is_limit = isinstance(goal, Constraint)
     asked = goal.in_words if isinstance(goal, Constraint) else f"{goal.wanted:.6g}"
     shares = ["", ""] if is_limit else [f"{share:.6g}" for share in (result.share_before, result.share_left)]
-    return [goal.title, asked, f"{result.before:.6g}", f"{result.after:.6g}", *shares]
+    return [goal.described, goal.unit, asked, f"{result.before:.6g}", f"{result.after:.6g}", *shares]
 
 
 def _drawn(words: str, scene: Scene) -> list[tuple[str, str]]:

@@ -108,7 +108,7 @@ def efficiency_figure(table: Table) -> str:
             capsize=3,
         )  # fmt: skip
         panel.set_yticks(places, names)
-        panel.set_xlabel("1/(noise² · time) / 1/s")
+        panel.set_xlabel("1/(noise² · time), 1/s")
         finish(panel, "efficiency: more is better")
         panel.title.set_color(GREY)
 

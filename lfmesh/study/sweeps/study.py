@@ -13,6 +13,7 @@ from lfmesh.errors import FileError, LfmeshError, warn_caller
 from lfmesh.files.folder import write_inside
 from lfmesh.regular_file import read_bytes
 from lfmesh.scene import Scene
+from lfmesh.scene.literals import counted
 from lfmesh.scene.model import Model
 from lfmesh.signatures import Function
 from lfmesh.study.metrics.metrics import columns_of
@@ -156,7 +157,8 @@ class Study:
         return study
 
     def __repr__(self) -> str:
-        return f"<Study: {len(self.plan.points)} points, {len(self.plan.units)} units, {', '.join(self.plan.metrics)}>"
+        points, units = counted(len(self.plan.points), "point"), counted(len(self.plan.units), "unit")
+        return f"<Study: {points}, {units}, {', '.join(self.plan.metrics)}>"
 
     def run(
         self,

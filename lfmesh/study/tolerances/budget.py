@@ -114,7 +114,7 @@ def budget_of(table: "Table", column: Column) -> Budget:
         return Budget(column, (), "no axis of numbers varies")
     start = table.rows[0]
     if not start.knows(column):
-        return Budget(column, (), f"{column.title} is not known for the reference")
+        return Budget(column, (), f"{column.noun} is not known for the reference")
     alone = table.plan.study.design == "one_at_a_time"
     groups = [[i] for i in axes] if alone else [axes]
     effects: list[Effect] = []

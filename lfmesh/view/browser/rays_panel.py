@@ -129,7 +129,7 @@ class RaysPanel:
             return f"from {len(starts):,} points"
         x, y, z = (float(f"{value:.6g}") for value in starts[0])
         state.update({"launch": "point", "point_x": x, "point_y": y, "point_z": z})
-        return f"from x = {x:g}, y = {y:g}, z = {z:g} mm"
+        return f"from x = {x:zg}, y = {y:zg}, z = {z:zg} mm"
 
     def _launch(self, form: dict[str, Any]) -> None:
         """Launch rays according to the form.
@@ -141,7 +141,7 @@ class RaysPanel:
         if state.launch == "point":
             point = [_number(state[f"point_{axis}"], f"{axis} / mm") for axis in "xyz"]
             rays = launch.from_field_point(world, point, self._count(), **self._options())
-            self._show(rays, "from x = {:g}, y = {:g}, z = {:g} mm".format(*point))
+            self._show(rays, "from x = {:zg}, y = {:zg}, z = {:zg} mm".format(*point))
         elif state.launch == "light":
             number = round(_number(state.light, "light"))
             self._show(launch.from_light(world, number, self._count(), **self._options()), f"from lights[{number}]")

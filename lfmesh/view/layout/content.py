@@ -446,7 +446,7 @@ def _array_caption(x: float, image: float | None, lenslets: int) -> str:
         if image is None
         else "one point of the plane in focus, shared by the lenslets"
     )
-    return f"section x = {x:.4g} mm; {what}".replace("-", "−")
+    return f"section x = {x:z.4g} mm; {what}".replace("-", "−")
 
 
 def _fan(count: int) -> Array:

@@ -124,7 +124,7 @@ def _poses(world: World, numbers: tuple[int, int]) -> Rows:
     which = dict.fromkeys(lens.element_of(number) for number in numbers)
     poses = [lens.elements[i].pose for i in which if i is not None]
     return [
-        ("pose", f"shift {' '.join(f'{x:g}' for x in p.shift_mm)} mm, tilt {' '.join(f'{x:g}' for x in p.tilt_deg)}°")
+        ("pose", f"shift {' '.join(f'{x:zg}' for x in p.shift_mm)} mm, tilt {' '.join(f'{x:zg}' for x in p.tilt_deg)}°")
         for p in poses
     ]
 
@@ -141,7 +141,7 @@ def _stop(world: World) -> Rows:
     number = next(i for i, surface in enumerate(lens.surfaces) if surface.stop)
     radius = lens.surfaces[number].semi_diameter_mm or math.nan
     return [
-        ("stop", f"surface {number}, z = {lens.vertices_mm[number]:.6g} mm"),
+        ("stop", f"surface {number}, z = {lens.vertices_mm[number]:z.6g} mm"),
         ("semi-diameter", f"{radius:.6g} mm"),
         ("working f-number", f"{world.facts.working_f_number:.4g}"),
     ]
@@ -185,7 +185,7 @@ def _target(world: World, number: int) -> Rows:
     shape = target.shape if glass is None else glass.solid
     what = str(shape.kind if shape is not None else target.file or (glass and glass.file))
     rows = [("target", f"{target.name or f'targets[{number}]'}, {what}")]
-    rows += [("position", " ".join(f"{value:g}" for value in target.position_mm) + " mm")]
+    rows += [("position", " ".join(f"{value:zg}" for value in target.position_mm) + " mm")]
     if target.refractor is not None:
         return [*rows, ("glass", _medium(world, target.refractor.medium))]
     material = target.material
@@ -239,6 +239,6 @@ def _fields(model: Model) -> Rows:
     fields = model.model_dump(exclude={"kind", "spectrum"}, exclude_defaults=True)
     values = {key: value if isinstance(value, tuple) else (value,) for key, value in fields.items()}
     return [
-        (key, " ".join(part if isinstance(part, str) else f"{part:g}" for part in value))
+        (key, " ".join(part if isinstance(part, str) else f"{part:zg}" for part in value))
         for key, value in values.items()
     ]

@@ -17,6 +17,7 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
 from lfmesh.scene import solved
+from lfmesh.study.optimise.design_file import Goal
 from lfmesh.study.optimise.figures import FIGURES
 from lfmesh.wrapping import COLUMNS
 from tests.cameras import close_up_camera
@@ -208,6 +209,27 @@ def test_the_page_holds_figures_variables_and_both_cameras_and_loads_nothing(tmp
     assert page.count('<img src="data:image/svg+xml;base64,') == 2
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
     assert "<script" not in page
+
+
+def test_the_page_gives_each_figure_its_words_and_its_unit_once(tmp_path: Path) -> None:
+    assert main(["optimise", str(write_design(tmp_path)), "-o", str(tmp_path / "best")]) == 0
+    page = (tmp_path / "best" / "report.html").read_text()
+    rows = [re.findall(r"<t[dh]>(.*?)</t[dh]>", row) for row in re.findall(r"<tr>.*?</tr>", page, flags=re.DOTALL)]
+    assert rows[0][:5] == ["figure", "unit", "asked for", "before", "after"]
+    assert rows[1][:2] == ["efl_mm", "mm"]
+    assert rows[2][:2] == ["centre_thickness_mm: thickness of elements on the axis", "mm"]
+    assert "/ mm / mm" not in page
+
+
+@pytest.mark.parametrize(
+    ("metric", "unit"),
+    [("spot_rms_mm", "mm"), ("mtf", ""), ("distortion", ""), ("micro_image_pitch_px", "pixels"),
+     ("light_w_per_pixel", "W per pixel"), ("far_mm", "mm")],
+)  # fmt: skip
+def test_every_figure_knows_its_unit(metric: str, unit: str) -> None:
+    found = Goal(metric=metric, per_mm=20.0 if metric == "mtf" else None)
+    assert found.unit == unit
+    assert " / " not in found.described
 
 
 def test_the_exit_code_says_that_a_limit_is_not_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

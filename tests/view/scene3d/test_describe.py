@@ -3,7 +3,9 @@
 import numpy as np
 
 import lfmesh as lf
+from lfmesh.scene import loads
 from lfmesh.view.scene3d.describe import describe
+from tests.view.conftest import SCENE
 
 
 def test_a_surface_with_another_section_in_x_has_the_keys_of_its_form() -> None:
@@ -41,3 +43,10 @@ def test_phases_of_an_array_are_described() -> None:
     words = dict(describe(lf.build(lf.Scene(camera=camera)), "mla"))
     assert words["curved_phase"].startswith("metalens, order 1, smallest period 3.1")
     assert words["thickness"] == "0.3 mm, diffractive side to the lens"
+
+
+def test_zeros_have_no_sign() -> None:
+    target = {"shape": {"kind": "sphere", "radius_mm": 2.0}, "position_mm": [-0.0, 0.0, -300.0]}
+    world = lf.build(loads(SCENE).changed({"targets": [target], "lights[0].position_mm": [-0.0, -40.0, -120.0]}))
+    assert dict(describe(world, "targets[0]"))["position"] == "0 0 -300 mm"
+    assert dict(describe(world, "lights[0]"))["position_mm"] == "0 -40 -120"

@@ -18,6 +18,9 @@ from lfmesh.scene.literals import percent, plain
 VIEWS, PIXELS, ESTIMATE, FIGURE = "depth_views.exr", "depth_pixels.exr", "depth.exr", "depth.png"
 
 FIGURE_IN = (10.0, 6.4)
+COLUMNS = 3
+"""Most panels side by side."""
+
 GREY = "#666666"
 
 ABOUT = (
@@ -81,30 +84,21 @@ def _draw(
     path: Path, depth: DepthMap, truth_mm: NDArray[np.floating], error: NDArray[np.float64],
     without_depth: Sequence[str],
 ) -> None:  # fmt: skip
-    """Draw truth, estimate, confidence and error side by side, and the error's distribution.
-
-    Without any true depth, draw estimate and confidence alone.
-    """
+    """Draw truth, estimate, confidence and error side by side, and the error's distribution, where they are known."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     true = np.where(np.isfinite(truth_mm), truth_mm, np.nan)
-    compared = bool(np.isfinite(true).any())
-    rows, columns = (2, 3) if compared else (1, 2)
+    pictures = _pictures(depth, true, error)
+    compared = bool(np.isfinite(error).any())
+    count = len(pictures) + (2 if compared else 0)
+    columns = min(count, COLUMNS)
+    rows = -(-count // columns)
     width, height = FIGURE_IN
-    figure = Figure(figsize=(width * columns / 3, height * rows / 2), layout="constrained", dpi=120)
+    size = (width * max(columns, 2) / COLUMNS, height * rows / 2)
+    figure = Figure(figsize=size, layout="constrained", dpi=120)
     FigureCanvasAgg(figure)
-    panels = list(figure.subplots(rows, columns).ravel())
-    low, high = shown_range(depth.distance_mm, true) or depth.range_mm
-    margin = 0.05 * max(high - low, 0.02 * high)
-    scale = {"vmin": low - margin, "vmax": high + margin, "cmap": "viridis"}
-    pictures: list[tuple[str, NDArray[np.floating], dict[str, Any]]] = [
-        ("from the light field / mm", depth.distance_mm, scale),
-        ("confidence", depth.confidence, {"vmin": 0.0, "vmax": 1.0, "cmap": "gray"}),
-    ]
-    if compared:
-        pictures.insert(0, ("truth / mm", true, scale))
-        pictures.append(("error / % of depth", 100.0 * error, {"vmin": -5.0, "vmax": 5.0, "cmap": "RdBu_r"}))
+    panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
     for axes, (title, values, shown) in zip(panels, pictures, strict=False):
         picture = axes.imshow(values, interpolation="nearest", **shown)
         figure.colorbar(picture, ax=axes, shrink=0.85, extend="both" if values is not depth.confidence else "neither")
@@ -112,14 +106,33 @@ def _draw(
         axes.set_xticks([])
         axes.set_yticks([])
         axes.set_facecolor("#dddddd")
-    if without_depth:
+    words = [] if np.isfinite(depth.distance_mm).any() else ["the light field gives no depth"]
+    words += [f"without true depth: {', '.join(without_depth)}"] if without_depth else []
+    if words:
         # Escape $ in the user's names, between which matplotlib expects mathematics.
-        words = f"without true depth: {', '.join(without_depth)}"
-        panels[0].set_xlabel(words.replace("$", r"\$"), fontsize=8, wrap=True)
+        panels[0].set_xlabel("; ".join(words).replace("$", r"\$"), fontsize=8, wrap=True)
     if compared:
-        _draw_against_truth(panels[4], depth, true)
-        _draw_distribution(panels[5], error)
+        _draw_against_truth(panels[-2], depth, true)
+        _draw_distribution(panels[-1], error)
     figure.savefig(path, metadata={"Software": None})
+
+
+def _pictures(
+    depth: DepthMap, true: NDArray[np.floating], error: NDArray[np.float64]
+) -> list[tuple[str, NDArray[np.floating], dict[str, Any]]]:
+    """Return title, values and colours of each picture with a known value; of the confidence if there is none."""
+    low, high = shown_range(depth.distance_mm, true) or depth.range_mm
+    margin = 0.05 * max(high - low, 0.02 * high)
+    scale = {"vmin": low - margin, "vmax": high + margin, "cmap": "viridis"}
+    grey = {"vmin": 0.0, "vmax": 1.0, "cmap": "gray"}
+    all_pictures: list[tuple[str, NDArray[np.floating], dict[str, Any]]] = [
+        ("truth / mm", true, scale),
+        ("from the light field / mm", depth.distance_mm, scale),
+        ("confidence", depth.confidence, grey),
+        ("error / % of depth", 100.0 * error, {"vmin": -5.0, "vmax": 5.0, "cmap": "RdBu_r"}),
+    ]
+    known = [each for each in all_pictures if np.isfinite(each[1]).any()]
+    return known or [("confidence", depth.confidence, grey)]
 
 
 def shown_range(distance_mm: NDArray[np.floating], truth_mm: NDArray[np.floating]) -> tuple[float, float] | None:

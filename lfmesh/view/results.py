@@ -6,7 +6,7 @@ Result classes inherit from `lfmesh.notebook`, where this module is registered.
 import io
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -164,7 +164,10 @@ def _(sharp: AllInFocus) -> list[Panel]:
 
 @panels.register
 def _(depth: DepthMap) -> list[Panel]:
-    return [_map("depth", depth.distance_mm, "mm"), _map("confidence", depth.confidence, "", 0.0, 1.0)]
+    confidence = _map("confidence", depth.confidence, "", 0.0, 1.0)
+    if not np.isfinite(depth.distance_mm).any():
+        return [replace(confidence, title="no depth found; confidence")]
+    return [_map("depth", depth.distance_mm, "mm"), confidence]
 
 
 @panels.register

@@ -180,6 +180,13 @@ def test_a_black_image_and_an_unknown_depth_have_pictures_too(scene: lf.Scene) -
         result.figure().canvas.draw()
 
 
+def test_a_depth_map_without_depth_shows_its_confidence_alone() -> None:
+    unknown = np.full((4, 5), np.nan)
+    (panel,) = results.panels(lf.DepthMap(unknown, unknown, np.ones_like(unknown), (100.0, 200.0)))
+    assert panel.title == "no depth found; confidence"
+    assert (panel.values == 1.0).all()
+
+
 def test_in_a_notebook_a_picture_is_displayed(made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("IPython")
     displayed: list[Any] = []

@@ -219,23 +219,32 @@ def test_a_conventional_camera_has_no_views(camera: Callable[..., Scene]) -> Non
         lf.depth_truth(scene)
 
 
-@pytest.mark.parametrize(("truth_mm", "titles"), [(math.nan, 2), (math.inf, 2), (420.0, 4)])
-def test_a_picture_of_depth_has_no_empty_panels_without_true_depth(
+@pytest.mark.parametrize(
+    ("truth_mm", "found_mm", "titles", "said"),
+    [
+        (math.nan, 421.0, 2, "without true depth: fire"), (math.inf, 421.0, 2, "without true depth: fire"),
+        (420.0, 421.0, 4, "without true depth: fire"),
+        (420.0, math.nan, 2, "the light field gives no depth; without true depth: fire"),
+    ],
+)  # fmt: skip
+def test_a_picture_of_depth_has_no_empty_panels_without_a_depth(
     camera: Callable[..., Scene], image_of: Callable[..., lf.Image], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    truth_mm: float, titles: int,
+    truth_mm: float, found_mm: float, titles: int, said: str,
 ) -> None:  # fmt: skip
     scene = camera()
     folder = lf.save(image_of(scene, np.ones(scene.camera.sensor.pixels[::-1])), tmp_path / "run")
     drawn: list[Figure] = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: (drawn.append(figure), path.touch()))
-    found = np.full((4, 5), 421.0)
+    found = np.full((4, 5), found_mm)
     depth = lf.DepthMap(found, np.zeros_like(found), np.ones_like(found), (300.0, 900.0))
     save_depth(depth, np.full((4, 5), truth_mm), folder, ("fire",))
     (figure,) = drawn
     pictures = [axes for axes in figure.axes if axes.get_images()]
     assert len(pictures) == titles
     assert all(np.isfinite(axes.get_images()[0].get_array()).any() for axes in pictures)
-    assert pictures[0].get_xlabel() == "without true depth: fire"
+    assert pictures[0].get_xlabel() == said
+    plots = [axes for axes in figure.axes if axes.get_lines()]
+    assert len(plots) == (2 if titles == 4 else 0), "an error is plotted only where there is one"
 
 
 def test_media_and_particles_are_named_as_what_has_no_true_depth(camera: Callable[..., Scene]) -> None:

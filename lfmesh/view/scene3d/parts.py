@@ -29,6 +29,7 @@ from lfmesh.view.scene3d.colours import tint
 from lfmesh.view.scene3d.describe import lone_diffractive
 from lfmesh.view.scene3d.media_parts import bodies
 from lfmesh.view.scene3d.outlines import outline_of_medium, outline_of_sheet
+from lfmesh.view.scene3d.presets import chip_size_mm
 from lfmesh.view.scene3d.ray_lines import line_segments
 
 Array = NDArray[np.float64]
@@ -45,9 +46,6 @@ CREASE_DEG = 25.0
 
 PIXEL_PX = 16
 """Width of one pixel in the pattern for pixels without an image."""
-
-CHIP = 1.18
-"""Size of the sensor chip relative to its pixels."""
 
 TICKS = 60
 """Most marks on the optical axis."""
@@ -294,10 +292,8 @@ def _bare_pixel() -> Picture:
 
 def _chip(world: World) -> pv.PolyData:
     """Return a board behind the pixels, which marks the sensor."""
-    width, height = world.scene.camera.sensor.size_mm
-    rim = 0.5 * (CHIP - 1.0) * max(width, height)
-    x, y, depth = 0.5 * width + rim, 0.5 * height + rim, 0.3 * rim
-    box = pv.Box(bounds=(-x, x, -y, y, 0.2 * depth, 1.2 * depth)).triangulate()
+    (x, y), (front, back) = chip_size_mm(world)
+    box = pv.Box(bounds=(-x, x, -y, y, front, back)).triangulate()
     return polydata(frames.points(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], box.points), box.regular_faces)
 
 

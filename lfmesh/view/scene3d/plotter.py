@@ -74,6 +74,7 @@ class View:
         self.caption: list[str] = []
         self.legend: Legend | None = None
         self.preset = "whole"
+        self._fitted: tuple[Any, ...] = ()
         self._picture = picture
         self._parts = parts(world, picture, near_mm, detail)
         self._of_actor: dict[Any, Part] = {}
@@ -86,6 +87,8 @@ class View:
         self.smooth(False)
         self.plotter.set_background(BACKGROUND, top=BACKGROUND_TOP)
         self.plotter.renderer.SetNearClippingPlaneTolerance(NEAREST)
+        # Before each picture: whatever changed the window or moved the camera.
+        self.plotter.renderer.AddObserver("StartEvent", lambda *_: self._keep_preset())
         self.plotter.renderer.AddObserver("StartEvent", lambda *_: self._move_near_plane())
         self.plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color="white", line_width=2)
         self.overlay = Overlay(self.plotter)
@@ -138,6 +141,7 @@ class View:
         self.plotter.renderer.ResetCameraClippingRange()
         self.plotter.camera_set = True
         self.preset = preset
+        self._fitted = ((width, height), self._eye()) if aspect is None else ()
 
     def cut(self, on: bool = True) -> None:
         """Cut lens and array along the axis and hide the half before the eye; rays stay whole."""
@@ -216,6 +220,15 @@ class View:
                 height = corners @ up
                 highest = corners[height > height.max() - 1e-6 * np.ptp(height)]
                 self.overlay.name(medium.name, highest.mean(axis=0))
+
+    def _eye(self) -> tuple[Any, ...]:
+        camera = self.plotter.camera
+        return camera.position, camera.focal_point, camera.up, camera.parallel_scale
+
+    def _keep_preset(self) -> None:
+        """Fit the preset into a window of another shape, unless the user has turned or zoomed the view."""
+        if self._fitted and tuple(self.plotter.window_size) != self._fitted[0] and self._eye() == self._fitted[1]:
+            self.look(self.preset)
 
     def _move_near_plane(self) -> None:
         """Put the near plane halfway to the nearest part, as nearer planes reduce the depth resolution."""

@@ -35,6 +35,9 @@ BISECTIONS = 40
 LENSLETS = 7
 """Lenslets across the view of the array."""
 
+CHIP = 1.18
+"""Size of the sensor's board relative to its pixels."""
+
 WITHOUT_OBJECT = 2.0
 """Camera lengths shown before the camera if there is no object."""
 
@@ -79,6 +82,8 @@ def viewpoint(
         raise LfmeshError('preset = "array": this camera has no microlens array; use "sensor"')
     points, forward, parallel = PRESETS[preset](world, near_mm)
     seen = fitted(points, forward, aspect, parallel, angle_deg)
+    if preset != "array" and is_cut(seen, _sensor(world), aspect):
+        seen = fitted(np.concatenate([points, _sensor(world)]), forward, aspect, parallel, angle_deg)
     to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
     eye, focus = frames.points(to_world, np.stack([seen.eye, seen.focus]))
     return Viewpoint(eye, focus, frames.directions(to_world, seen.up[None])[0], parallel, seen.half_height_mm)
@@ -122,6 +127,29 @@ def fitted(points: Array, forward: ArrayLike, aspect: float, parallel: bool, ang
     return Viewpoint(eye @ axes, focus @ axes, axes[1], False, away * np.tan(np.deg2rad(0.5 * angle_deg)))
 
 
+def is_cut(seen: Viewpoint, points: Array, aspect: float) -> bool:
+    """Tell whether the border of a picture crosses the rectangle round some points in it.
+
+    Parameters
+    ----------
+    seen : Viewpoint
+    points : (n, 3) float64, mm
+        In the frame of the viewpoint.
+    aspect : float
+        Width over height of the picture.
+    """
+    away = float(np.linalg.norm(seen.focus - seen.eye))
+    ahead = (seen.focus - seen.eye) / away
+    x, y, z = np.stack([np.cross(ahead, seen.up), seen.up, ahead]) @ (points - seen.eye).T
+    if not seen.parallel and (z <= 0.0).any():
+        # Behind the eye it is not seen; beside the eye it would reach beyond any picture.
+        return not (z <= 0.0).all()
+    half = seen.half_height_mm * (1.0 if seen.parallel else z / away)
+    across, up = x / (aspect * half), y / half
+    beside = across.min() > 1.0 or across.max() < -1.0 or up.min() > 1.0 or up.max() < -1.0
+    return not beside and bool(max(np.abs(across).max(), np.abs(up).max()) > 1.0)
+
+
 def _centred(along: Array, depth: Array) -> float:
     """Return the eye position that centres points of given depths in the picture."""
     low, high = along.min(), along.max()
@@ -144,13 +172,30 @@ def _lens(world: World) -> Array:
     return _box([-rim, -rim, vertices[:, 2].min()], [rim, rim, vertices[:, 2].max()])
 
 
+def chip_size_mm(world: World) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return half the width and height of the board behind the pixels, and the depths of its faces."""
+    width, height = world.scene.camera.sensor.size_mm
+    rim = 0.5 * (CHIP - 1.0) * max(width, height)
+    return (0.5 * width + rim, 0.5 * height + rim), (0.06 * rim, 0.36 * rim)
+
+
 def _sensor(world: World) -> Array:
-    x, y = (0.5 * size for size in world.scene.camera.sensor.size_mm)
-    return frames.points(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME], _box([-x, -y, 0.0], [x, y, 0.0]))
+    (x, y), (_, back) = chip_size_mm(world)
+    return frames.points(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME], _box([-x, -y, 0.0], [x, y, back]))
+
+
+def _array(world: World) -> Array:
+    """Return the corners of the array's plate, none without an array."""
+    if not world.tables.mla.present:
+        return np.zeros((0, 3))
+    lenslets = world.tables.mla.lenslets
+    x, y = lenslets.lattice.half_extent
+    box = _box([-x, -y, lenslets.top], [x, y, far_end_mm(world.tables.mla)])
+    return frames.points(world.tables.frames[MLA_FRAME, CAMERA_FRAME], box)
 
 
 def _camera(world: World) -> Array:
-    return np.concatenate([_lens(world), _sensor(world)])
+    return np.concatenate([_lens(world), _array(world), _sensor(world)])
 
 
 def _object(world: World) -> Array:

@@ -12,7 +12,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.scene import Scene, loads
 from lfmesh.view.scene3d import pick
 from lfmesh.view.scene3d.overlay import in_words
-from lfmesh.view.scene3d.parts import round_length
+from lfmesh.view.scene3d.parts import parts, round_length
 from lfmesh.view.scene3d.plotter import View
 from lfmesh.view.scene3d.presets import ANGLE_DEG, MARGIN, PRESETS, Viewpoint, fitted, viewpoint
 from tests.frames import motion
@@ -66,6 +66,55 @@ def test_a_preset_shows_its_part_between_the_clipping_planes(
     depth = (points - view.plotter.camera.position) @ view.plotter.camera.direction
     assert near < depth.min()
     assert depth.max() < far
+
+
+SHORT = SCENE.replace("[camera]\nfocus_mm = 200.0", "[camera]").replace(
+    "[camera.mla]", "[camera.mla]\ndistance_mm = 4.0"
+)
+WIDE = SCENE.replace("pixels = [120, 100]", "pixels = [400, 90]").replace("count = [12, 10]", "count = [44, 12]")
+
+
+@pytest.mark.drawing
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 1.6, 3.0])
+@pytest.mark.parametrize("preset", [name for name in PRESETS if name != "array"])
+@pytest.mark.parametrize("text", [SCENE, SHORT, WIDE], ids=["bench", "short back focus", "wide sensor"])
+def test_no_preset_cuts_the_sensor(text: str, preset: str, aspect: float) -> None:
+    """Its board, which is larger than its pixels, is in the picture as a whole or not at all."""
+    world = lf.build(loads(text))
+    board = np.concatenate([np.asarray(part.mesh.points) for part in parts(world) if part.kind == "sensor"])
+    seen = viewpoint(world, preset, aspect)
+    ahead = (seen.focus - seen.eye) / np.linalg.norm(seen.focus - seen.eye)
+    depth = (board - seen.eye) @ ahead
+    if not seen.parallel and (depth <= 0.0).all():
+        return
+    assert seen.parallel or (depth > 0.0).all()
+    across, up = in_picture(seen, board).T / [[aspect], [1.0]]
+    inside = max(np.abs(across).max(), np.abs(up).max()) <= 1.0
+    beside = across.min() > 1.0 or across.max() < -1.0 or up.min() > 1.0 or up.max() < -1.0
+    assert inside or beside
+    if preset in ("whole", "side", "sensor"):
+        assert inside
+
+
+@pytest.mark.drawing
+def test_a_preset_fits_a_window_of_another_shape_until_the_view_is_turned(
+    world: lf.World, views: Callable[..., View]
+) -> None:
+    view = views(world)
+    view.look("side")
+    shot(view)
+    for size in ((200, 400), (600, 200)):
+        view.plotter.window_size = size
+        shot(view)
+        points, _, _ = PRESETS["side"](world, (0.0, 0.0))
+        place = pick.to_picture(view, points)
+        assert (place >= 0.0).all()
+        assert (place <= size).all()
+    view.plotter.camera.Azimuth(20.0)
+    turned = view.plotter.camera.position
+    view.plotter.window_size = (300, 300)
+    shot(view)
+    assert view.plotter.camera.position == turned
 
 
 @pytest.mark.parametrize("large", ["width_mm = 20000.0, height_mm = 20000.0", "width_mm = 30.0, height_mm = 30.0"])

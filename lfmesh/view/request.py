@@ -44,8 +44,9 @@ INSIDE = 0.97
 FAR = 20.0
 """Object distance of the first view in focal lengths, for a camera focused on infinity."""
 
-BEFORE_MM = 0.01
-"""Clearance of the first view's points from lens and targets."""
+BEFORE_MM, BEFORE = 0.01, 1e-5
+"""Clearance of the first view's points from lens and targets, and relative to the distance, as launches are written
+with six digits."""
 
 MOST_PX = 4096
 """Largest side of the picture on the sensor; larger pictures are reduced."""
@@ -182,9 +183,15 @@ def why_dark(rays: Rays) -> str:
 
 
 def first_look(world: World) -> list[str]:
-    """Return the launches of the first view: points of the plane of focus on the axis, in the zone and at the edge.
+    """Return the launches of the first view, from `first_points`."""
+    return ["field " + ",".join(f"{value:.6g}" for value in point) for point in first_points(world)]
 
-    If a target blocks a point, the point moves to its surface.
+
+def first_points(world: World) -> NDArray[np.float64]:
+    """Return points that the lens sees, (3, 3) mm, world frame.
+
+    They lie in the plane of focus on the axis, in the zone and at the edge. If a target blocks a point, the point moves
+    to its surface.
     """
     distance = world.facts.object_distance_mm
     half = 0.5 * world.facts.field_of_view_mm[1]
@@ -201,10 +208,11 @@ def first_look(world: World) -> list[str]:
     seen = trace(world, np.repeat(front, len(ahead), axis=0), ahead, split="transmit", max_events=1, threads=1)
     distance = np.linalg.norm(ahead, axis=1)
     for i, status, place in zip(seen.source, seen.status, seen.position, strict=True):
-        way = float(np.linalg.norm(place - front)) - BEFORE_MM
-        if status == Status.TARGET and way + 2.0 * BEFORE_MM < distance[i]:
-            placed[i] = front + way / distance[i] * ahead[i]
-    return ["field " + ",".join(f"{value:.6g}" for value in point) for point in placed + 0.0]
+        way = float(np.linalg.norm(place - front))
+        clear = max(BEFORE_MM, BEFORE * way)
+        if status == Status.TARGET and way + clear < distance[i]:
+            placed[i] = front + (way - clear) / distance[i] * ahead[i]
+    return np.asarray(placed + 0.0)
 
 
 def together(parts: Sequence[Rays]) -> Rays:

@@ -19,7 +19,7 @@ from lfmesh.view.rays.filters import FilterError, parse
 from lfmesh.view.rays.ghosts import GHOST_CUTOFF, GHOST_RAYS, ghost_matrix
 from lfmesh.view.rays.history import Step, history
 from lfmesh.view.rays.path_table import PathRow, PathTable, path_table, relative_error, short_form
-from lfmesh.view.request import FAR, middle_pixel, pixels_on_array, why_dark
+from lfmesh.view.request import first_points, middle_pixel, pixels_on_array, why_dark
 from lfmesh.view.scene3d.colours import ColourBy
 from lfmesh.view.scene3d.describe import describe
 from lfmesh.view.scene3d.pick import PickedPart, PickedPixel, PickedRay, pick
@@ -350,17 +350,16 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
     if scene.lights and scene.targets:
         launches.append(["light", "light"])
     launches.append(["run", "as in a run"])
-    distance = world.facts.object_distance_mm
-    z = -distance if 0.0 < distance < np.inf else -FAR * abs(world.facts.efl_mm)
+    x, y, z = (float(f"{value:.6g}") for value in first_points(world)[0])
     row, column = middle_pixel(world)
     known = [wavelength for _, wavelength in launch.wavelengths_of(world)]
     several = [ALL] if len(known) > 1 else []
     return {
         "launches": launches,
         "launch": "point",
-        "point_x": 0.0,
-        "point_y": 0.0,
-        "point_z": float(f"{z:.6g}"),
+        "point_x": x,
+        "point_y": y,
+        "point_z": z,
         "light": 0,
         "row": row,
         "column": column,

@@ -4,6 +4,7 @@ The display code imports all result classes and matplotlib; `show_by` registers 
 """
 
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -19,7 +20,7 @@ def show_by(results: Callable[[], Any], progress: Callable[[], Any]) -> None:
     results : callable
         Returns the module for tables and pictures, when first needed.
     progress : callable
-        Returns the module for the progress of a render.
+        Returns the module for the progress of renders and other jobs.
     """
     _shown_by.update(results=results, progress=progress)
 
@@ -59,6 +60,35 @@ class Pictured(Shown):
         _shown_by["results"]().show(self)
 
 
+Say = Callable[[str], None]
+
+_jobs = threading.local()
+
+
+def is_watched() -> bool:
+    """Tell whether somebody in a notebook or at a terminal watches a job that begins now, unless it is part of another.
+
+    Jobs of worker processes and threads are parts of others.
+    """
+    from multiprocessing import parent_process
+
+    if getattr(_jobs, "number", 0) or threading.current_thread() is not threading.main_thread():
+        return False
+    if in_notebook():
+        return True
+    return parent_process() is None and sys.stderr is not None and sys.stderr.isatty()
+
+
+@contextmanager
+def job() -> Iterator[None]:
+    """Mark a job in this thread, inside which no other shows its progress without being asked."""
+    _jobs.number = getattr(_jobs, "number", 0) + 1
+    try:
+        yield
+    finally:
+        _jobs.number -= 1
+
+
 @contextmanager
 def watched(progress: Callable[[Any], None] | bool | None) -> Iterator[Callable[[Any], None] | None]:
     """Yield the function that receives a render's progress, or None.
@@ -66,12 +96,36 @@ def watched(progress: Callable[[Any], None] | bool | None) -> Iterator[Callable[
     Parameters
     ----------
     progress : callable, bool or None
-        A callable is used itself. True shows a bar, False nothing, and None a bar only in a notebook.
+        A callable is used itself. True shows a bar, False nothing, and None a bar in a notebook, or at a terminal if
+        the render takes more than two seconds.
     """
-    if callable(progress):
-        yield progress
-    elif in_notebook() if progress is None else progress:
-        with _shown_by["progress"]().progress() as report:
-            yield report
-    else:
-        yield None
+    shows = is_watched() if progress is None else progress
+    with job():
+        if callable(progress):
+            yield progress
+        elif shows:
+            with _shown_by["progress"]().progress(waits=progress is None) as report:
+                yield report
+        else:
+            yield None
+
+
+@contextmanager
+def announced(progress: Say | bool | None) -> Iterator[Say]:
+    """Yield the function that receives a job's progress in words.
+
+    Parameters
+    ----------
+    progress : callable, bool or None
+        A callable is used itself. True shows a line, False nothing, and None a line in a notebook or at a terminal if
+        the job takes more than two seconds.
+    """
+    shows = is_watched() if progress is None else progress
+    with job():
+        if callable(progress):
+            yield progress
+        elif shows:
+            with _shown_by["progress"]().status(waits=progress is None) as say:
+                yield say
+        else:
+            yield lambda _: None

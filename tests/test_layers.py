@@ -37,7 +37,7 @@ ROOMS = {
         *["rays", "request", "layout", "lens_sheet", "scene3d", "output", "show", "browser"],
     ],
     "files": ["", "exports"],
-    "cli": ["application, interrupts, options, printing, progress, tasks", "", "__init__"],
+    "cli": ["application, interrupts, options, printing, tasks", "", "__init__"],
 }
 """The same inside a part, of its folders, single files in these ("folder/file"), and the files beside them; "" is every
 file that is not named."""

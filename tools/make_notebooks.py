@@ -16,6 +16,8 @@ import nbformat
 import PIL.Image
 from nbclient import NotebookClient
 
+from lfmesh.view.progress import STATUS_CLASS
+
 FOLDER = Path(__file__).resolve().parents[1] / "assets" / "notebooks"
 
 COLOURS = 64
@@ -38,6 +40,8 @@ def executed(path: Path) -> nbformat.NotebookNode:
         NotebookClient(notebook, timeout=SECONDS, resources={"metadata": {"path": folder}}).execute()
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)
+        if "outputs" in cell:
+            cell.outputs = [output for output in cell.outputs if not is_status(output)]
         for output in cell.get("outputs", []):
             shown = output.get("data", {})
             if "<iframe" in shown.get("text/html", ""):  # a scene that turns is too large to keep
@@ -47,6 +51,11 @@ def executed(path: Path) -> nbformat.NotebookNode:
             if "image/png" in shown:
                 shown["image/png"] = reduced(shown["image/png"])
     return notebook
+
+
+def is_status(output: nbformat.NotebookNode) -> bool:
+    """Tell whether an output is the progress of a job, which a faster machine does not show."""
+    return STATUS_CLASS in output.get("data", {}).get("text/html", "")
 
 
 def reduced(picture: str) -> str:

@@ -3,7 +3,7 @@
 To add a command, write a function in its group's file (or a new one, imported below), decorated with
 `lfmesh.cli.application.app.command`. Its docstring is the help text, its annotated parameters are the arguments and
 options, and its return value is the exit code. Raise user errors as `LfmeshError`. Take shared parameters from
-`lfmesh.cli.options`, print through `lfmesh.cli.printing` and report progress through `lfmesh.cli.progress`. Import
+`lfmesh.cli.options`, print through `lfmesh.cli.printing` and report progress through `lfmesh.view.progress`. Import
 heavy modules in the body of the command, under `lfmesh.cli.interrupts.defer_interrupt` if they bring numba, Embree or
 VTK. Then list the command, with an example, in `lfmesh.cli.tasks` and in the README.
 """

@@ -8,8 +8,8 @@ from cyclopts import Parameter
 from lfmesh.cli.application import CASE_FAILED, app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.printing import list_files
-from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
+from lfmesh.view.progress import status
 from lfmesh.wrapping import COLUMNS
 
 

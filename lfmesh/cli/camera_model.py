@@ -9,7 +9,7 @@ from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Whole
 from lfmesh.cli.printing import list_files
-from lfmesh.cli.progress import status
+from lfmesh.view.progress import status
 from lfmesh.wrapping import wrapped
 
 

@@ -9,9 +9,9 @@ from lfmesh.cli.application import CASE_FAILED, app, stopped
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Shard, Whole, share_of
 from lfmesh.cli.printing import list_files, say_note, say_warnings
-from lfmesh.cli.progress import status
 from lfmesh.cli.study import LISTED, progress_in_words
 from lfmesh.errors import LfmeshError
+from lfmesh.view.progress import status
 
 if TYPE_CHECKING:
     from lfmesh.study.datasets.dataset import Dataset

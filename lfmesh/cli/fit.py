@@ -9,8 +9,8 @@ from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Whole
 from lfmesh.cli.printing import list_files, say_note
-from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
+from lfmesh.view.progress import status
 from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from lfmesh.cli.application import app, stopped
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Overrides, SceneFile, Whole, overridden
 from lfmesh.cli.printing import list_files
-from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
+from lfmesh.view.progress import status
 from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:

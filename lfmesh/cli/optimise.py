@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import code_of_last, defer_interrupt
 from lfmesh.cli.printing import list_files, say_note
-from lfmesh.cli.progress import status
+from lfmesh.view.progress import status
 
 
 @app.command(

@@ -11,9 +11,8 @@ from lfmesh.cli.application import WRONG_INPUT, app
 from lfmesh.cli.interrupts import code_of_last, defer_interrupt
 from lfmesh.cli.options import Dask, Overrides, RunFolder, SceneFile, Shard, Verbose, as_option, overridden, share_of
 from lfmesh.cli.printing import list_files, say_note, say_warnings
-from lfmesh.cli.progress import status
 from lfmesh.errors import FileError, LfmeshError, warn_caller
-from lfmesh.view.progress import progress
+from lfmesh.view.progress import progress, status
 from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:

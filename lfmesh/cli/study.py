@@ -9,8 +9,8 @@ from lfmesh.cli.application import CASE_FAILED, app, stopped
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Dask, Shard, Whole, share_of
 from lfmesh.cli.printing import list_files, say_note
-from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
+from lfmesh.view.progress import status
 from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:

@@ -110,6 +110,10 @@ def watched(progress: Callable[[Any], None] | bool | None) -> Iterator[Callable[
             yield None
 
 
+def silent(_: str) -> None:
+    """Say nothing."""
+
+
 @contextmanager
 def announced(progress: Say | bool | None) -> Iterator[Say]:
     """Yield the function that receives a job's progress in words.
@@ -128,4 +132,4 @@ def announced(progress: Say | bool | None) -> Iterator[Say]:
             with _shown_by["progress"]().status(waits=progress is None) as say:
                 yield say
         else:
-            yield lambda _: None
+            yield silent

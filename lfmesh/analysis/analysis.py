@@ -15,7 +15,7 @@ from lfmesh.analysis.spots import Spot
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.main_order import orders_in_words, phases_of, with_main_orders
 from lfmesh.geometry.lens.solved_camera import solved_camera
-from lfmesh.notebook import Shown
+from lfmesh.notebook import Say, Shown, announced
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.distance import length_in_words
 from lfmesh.scene.first_order.compute import airy_disk_mm
@@ -272,6 +272,7 @@ def analyse(
     height_mm: float | None = None,
     wavelengths_nm: tuple[float, ...] | None = None,
     across: int = ACROSS,
+    progress: Say | bool | None = None,
 ) -> LensAnalysis:
     """Analyse the main lens of a scene at its image plane, as a lens sheet shows it.
 
@@ -290,6 +291,9 @@ def analyse(
         F, d and C if it has one and the lens glass.
     across : int
         Rays across the stop's diameter.
+    progress : callable or bool, optional
+        Called with the progress in words. True shows it, False nothing. Default: it is shown at a terminal or in a
+        notebook after two seconds.
 
     Returns
     -------
@@ -315,13 +319,28 @@ def analyse(
     height = used_height_mm(camera.scene) if height_mm is None else float(height_mm)
     if not 0.0 < height < math.inf:
         raise LfmeshError(f"height_mm = {height}: must be above 0 and finite")
-    world = build(with_main_orders(camera.scene.camera_alone()))
-    rays = LensRays(world, object_mm, facts.image_z_mm)
+    with announced(progress) as say:
+        say("lens: building")
+        rays = LensRays(build(with_main_orders(camera.scene.camera_alone())), object_mm, facts.image_z_mm)
+        return _analysed(scene, rays, height, waves, across, say)
+
+
+def _analysed(
+    scene: Scene, rays: LensRays, height: float, waves: tuple[float, ...], across: int, say: Say
+) -> LensAnalysis:
+    """Return the analysis of a lens up to an image height, mm, with rays of some wavelengths."""
+    camera, world, object_mm = solved_camera(scene), rays.world, rays.object_mm
+    facts = camera.report
     heights = height * np.array(FIELDS)
     primary = waves[len(waves) // 2]
     slopes = heights / paraxial_scale(rays, primary)
-    spots = [_spot(rays, float(slope), waves, across) for slope in slopes]
+    spots = []
+    for number, slope in enumerate(slopes):
+        say(f"lens: spot {number + 1} of {len(slopes)}")
+        spots.append(_spot(rays, float(slope), waves, across))
+    say("lens: cross-talk and photographs of the array")
     light_field, why_not = _light_field(world, object_mm, heights)
+    say("lens: fans, foci and MTF")
     zones = (np.arange(ZONES) + 1.0) / ZONES
     cut_off = 1e6 / (primary * facts.working_f_number)
     frequencies = np.linspace(0.0, FINEST_MTF * cut_off, FREQUENCIES)

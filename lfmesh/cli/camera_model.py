@@ -48,10 +48,8 @@ def camera_model(
     check_model_path(out)
     loaded = open_run(scene) if scene.is_dir() else load(scene)
     with status() as report:
-        report("tracing pixels and views")
-        model = models.camera_model(
-            loaded, views=views, distances_mm=None if distances_mm is None else tuple(distances_mm)
-        )
+        distances = None if distances_mm is None else tuple(distances_mm)
+        model = models.camera_model(loaded, views=views, distances_mm=distances, progress=report)
         write_camera_model(model, out)
     print(wrapped(model.in_words))
     list_files([out, out.with_name(NAME)])

@@ -9,13 +9,13 @@ from lfmesh.cli.application import CASE_FAILED, app, stopped
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Shard, Whole, share_of
 from lfmesh.cli.printing import list_files, say_note, say_warnings
-from lfmesh.cli.study import LISTED, progress_in_words
+from lfmesh.cli.study import LISTED
 from lfmesh.errors import LfmeshError
 from lfmesh.view.progress import status
 
 if TYPE_CHECKING:
     from lfmesh.study.datasets.dataset import Dataset
-    from lfmesh.study.sweeps.study import Progress
+    from lfmesh.study.sweeps.progress import Progress
 
 
 @app.command(
@@ -59,7 +59,7 @@ def dataset(
             def report(now: "Progress") -> None:
                 nonlocal done
                 done = now.done
-                say(progress_in_words(now, "items", "item"))
+                say(now.in_words("items", "item"))
 
             made = loaded.make(out, workers=workers, shard=share, progress=report)
     except KeyboardInterrupt:

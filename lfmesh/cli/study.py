@@ -14,7 +14,8 @@ from lfmesh.view.progress import status
 from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:
-    from lfmesh.study.sweeps.study import Progress, Study
+    from lfmesh.study.sweeps.progress import Progress
+    from lfmesh.study.sweeps.study import Study
     from lfmesh.study.sweeps.table import Table
 
 study_app = App(
@@ -76,7 +77,7 @@ def study(
             def report(now: "Progress") -> None:
                 nonlocal done
                 done = now.done
-                say(progress_in_words(now))
+                say(now.in_words("units", "point"))
 
             table = loaded.run(out, workers=workers, dask=dask, shard=share_of(shard), progress=report)
     except KeyboardInterrupt:
@@ -137,28 +138,6 @@ def _plan(loaded: "Study", workers: int | None) -> int:
 
 LISTED = 40
 """Number of points that a dry run lists."""
-
-
-def progress_in_words(now: "Progress", things: str = "units", failing: str = "point") -> str:
-    """Return the progress of a study or dataset in words.
-
-    Parameters
-    ----------
-    now : Progress
-    things, failing : str
-        Noun for the units counted, in the plural, and for one that may fail.
-    """
-    from lfmesh.files.words import duration
-    from lfmesh.scene.literals import counted
-
-    words = f"{now.done} of {now.total} {things}"
-    if now.new and now.seconds:
-        words += f", {60.0 * now.new / now.seconds:.3g} per minute"
-    if now.seconds_left is not None:
-        words += f", {duration(now.seconds_left)} left"
-    if now.failed:
-        words += f", {counted(now.failed, failing)} failed"
-    return words + (f"; best {now.best}; worst {now.worst}" if now.best else "")
 
 
 def _report(table: "Table", out: Path, parquet: bool) -> int:

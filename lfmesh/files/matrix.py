@@ -31,6 +31,7 @@ from lfmesh.lightfield.volumes.projection import (
 from lfmesh.lightfield.volumes.projection_matrix import ProjectionMatrix
 from lfmesh.lightfield.volumes.projector import THRESHOLD, Projector
 from lfmesh.lightfield.volumes.voxel_box import VoxelBox
+from lfmesh.notebook import Say, announced
 from lfmesh.regular_file import Header, open_arrays, open_regular, read_text
 from lfmesh.scene import Scene
 
@@ -51,8 +52,6 @@ SMALL_BYTES, BYTES_A_NUMBER = 1 << 24, 16
 
 UNIT = "mm^3 sr: W on a pixel for 1 W/(mm^3 sr) of a voxel"
 
-Say = Callable[[str], None]
-
 
 def write_projection_matrix(
     scene: Scene, grid: Any, path: str | Path, *, channel: int = 0, pixels: ArrayLike | None = None,
@@ -72,7 +71,8 @@ def write_projection_matrix(
     say : callable, optional
         Called with messages, the expected size first.
     progress : callable, optional
-        Called with the numbers of finished and of all pixels.
+        Called with the numbers of finished and of all pixels. Without these two, the progress is shown at a terminal or
+        in a notebook after two seconds.
 
     Returns
     -------
@@ -90,11 +90,18 @@ def write_projection_matrix(
     if not path.parent.is_dir() or path.is_dir():
         why = "it is a folder" if path.is_dir() else f"the folder {path.parent} does not exist"
         raise FileError(f"{path} cannot be written: {why}")
-    projector = Projector(scene.pinned(), grid, channel, threshold, absorption=absorption, inside=inside)
-    chosen = pixels_of(projector, pixels)
+    with announced(None if say is None and progress is None else False) as shown:
+        projector = Projector(scene.pinned(), grid, channel, threshold, absorption=absorption, inside=inside)
+        percent = progress or (lambda done, total: shown(f"{100 * done // total} % of the pixels"))
+        return _written(path, projector, pixels_of(projector, pixels), say or shown, percent)
+
+
+def _written(
+    path: Path, projector: Projector, chosen: NDArray[np.int64], say: Say, progress: Callable[[int, int], None]
+) -> Path:
+    """Trace the rows of the chosen pixels into a file."""
     size = size_in_words(projector, chosen)
-    if say is not None:
-        say(size.words)
+    say(size.words)
     # Blocks and the file itself stand beside each other until the file is whole.
     free = shutil.disk_usage(path.parent).free
     if 2.0 * size.bytes > free:
@@ -103,19 +110,17 @@ def write_projection_matrix(
     blocks = list(projector.blocks(chosen))
     with _told(path):
         done = _begin(parts, _facts(projector, chosen), len(blocks))
-        if done and say is not None:
+        if done:
             say(f"continues after {done} finished blocks of {len(blocks)}")
         finished = sum(len(block) for block in blocks[:done])
         for number, block in enumerate(computed(projector, blocks[done:]), start=done):
             with staged_file(parts, _name(number)) as file:
                 np.savez(file, **block._asdict())
             finished += len(block.entries)
-            if progress is not None:
-                progress(finished, len(chosen))
+            progress(finished, len(chosen))
         words = _join(path, parts, len(blocks), projector, chosen)
         shutil.rmtree(parts)
-        if say is not None:
-            say(words)
+        say(words)
     return path
 
 

@@ -20,7 +20,7 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.lightfield.rays.ray_model import ShiftMap
 from lfmesh.lightfield.rays.view_rays import ViewRays, traced_shift
 from lfmesh.lightfield.views.field import LightField, Samples
-from lfmesh.notebook import Pictured
+from lfmesh.notebook import Pictured, Say, announced
 from lfmesh.scene.distance import reach_in_words
 
 Array = NDArray[np.float64]
@@ -127,7 +127,10 @@ class DepthMap(Pictured):
         )
 
 
-def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: float | None = None) -> DepthMap:
+def estimate_depth(
+    field: LightField, *, near_mm: float | None = None, far_mm: float | None = None,
+    progress: Say | bool | None = None,
+) -> DepthMap:  # fmt: skip
     """Estimate the distance of everything that a light field shows.
 
     Parameters
@@ -136,6 +139,9 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
         Preferably divided by its white image.
     near_mm, far_mm : float, optional
         Range of the search (default: the refocus range).
+    progress : callable or bool, optional
+        Called with the progress in words. True shows it, False nothing. Default: it is shown at a terminal or in a
+        notebook after two seconds.
 
     Returns
     -------
@@ -146,6 +152,11 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
     LfmeshError
         No range to search, or fewer than 3 views along an axis.
     """
+    with announced(progress) as say:
+        return _estimated(field, near_mm, far_mm, say)
+
+
+def _estimated(field: LightField, near_mm: float | None, far_mm: float | None, say: Say) -> DepthMap:
     data, usable = _even_views(field)
     geometry = traced_shift(ViewRays.of_camera(field.scene), usable)
     shifts = _shifts_to_try(field, geometry, near_mm, far_mm)
@@ -153,7 +164,8 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
     cost, texture = np.full(data.shape[2:4], np.inf), np.zeros(data.shape[2:4])
     total, tried = np.zeros_like(cost), np.zeros_like(cost)
     shift = np.full(data.shape[2:4], np.nan)
-    for plane in shifts:
+    for number, plane in enumerate(shifts):
+        say(f"depth: plane {number + 1} of {len(shifts)}")
         differ, contrast, residual = _compared(data, usable, plane, spacing)
         known = np.isfinite(differ)
         total, tried = total + np.where(known, differ, 0.0), tried + known

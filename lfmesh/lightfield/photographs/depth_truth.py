@@ -4,6 +4,7 @@ Media and particles have none, as light comes from all along a line of sight; ra
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.lightfield.rays.view_rays import ViewRays, image_path_engine
 from lfmesh.lightfield.views.decode import view_count
-from lfmesh.notebook import Pictured
+from lfmesh.notebook import Pictured, Say, announced
 from lfmesh.scene import Scene
 from lfmesh.transport.build import build
 from lfmesh.transport.engine import CHUNK, Workspace
@@ -68,7 +69,9 @@ class DepthTruth(Pictured):
         return f"<DepthTruth: {u} × {v} views of {s} × {t} samples, {known:.1%} of them known{untold}>"
 
 
-def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) -> DepthTruth:
+def depth_truth(
+    scene: Scene, *, views: int | None = None, samples: int = 16, progress: Say | bool | None = None
+) -> DepthTruth:
     """Trace the true depth of everything that a light-field camera sees, at the primary wavelength.
 
     Parameters
@@ -78,6 +81,9 @@ def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) ->
         Along each axis, as for `lf.decode`.
     samples : int
         Rays per pixel.
+    progress : callable or bool, optional
+        Called with the progress in words. True shows it, False nothing. Default: it is shown at a terminal or in a
+        notebook after two seconds.
 
     Returns
     -------
@@ -90,12 +96,19 @@ def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) ->
     """
     if not 1 <= samples <= MOST_SAMPLES:
         raise LfmeshError(f"samples = {samples}: must be from 1 to {MOST_SAMPLES}")
-    rays = _rays_of(scene)
-    count = view_count(rays.calibration, views)
-    places = np.arange(count) - 0.5 * (count - 1)
-    views_mm = np.stack([np.stack([_of_view(rays, v, u) for u in places]) for v in places])
-    middle_mm = _of_view(rays, 0.0, 0.0)
-    return DepthTruth(views_mm, middle_mm, *_of_pixels(rays.world, samples), without_depth=without_depth(scene))
+    with announced(progress) as say:
+        rays = _rays_of(scene)
+        count = view_count(rays.calibration, views)
+        places = np.arange(count) - 0.5 * (count - 1)
+        views_mm = []
+        for number, (v, u) in enumerate(product(places, places)):
+            say(f"true depth: view {number + 1} of {count * count}")
+            views_mm.append(_of_view(rays, v, u))
+        middle_mm = _of_view(rays, 0.0, 0.0)
+        say("true depth: pixels")
+        of_pixels = _of_pixels(rays.world, samples)
+    of_views = np.stack(views_mm).reshape(count, count, *middle_mm.shape)
+    return DepthTruth(of_views, middle_mm, *of_pixels, without_depth=without_depth(scene))
 
 
 def without_depth(scene: Scene) -> tuple[str, ...]:

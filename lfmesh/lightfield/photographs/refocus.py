@@ -17,6 +17,7 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.lightfield.photographs.fourier_slice import ViewSpectra
 from lfmesh.lightfield.photographs.photograph import FocalStack, Photograph
 from lfmesh.lightfield.views.field import LightField, Samples
+from lfmesh.notebook import Say, announced, silent
 from lfmesh.scene.distance import reach_in_words
 
 Array = NDArray[np.float64]
@@ -66,8 +67,9 @@ def refocus(
 
 
 def focal_stack(
-    field: LightField, distances_mm: Sequence[float], *, f_number: float | None = None, method: Method = "shift"
-) -> FocalStack:
+    field: LightField, distances_mm: Sequence[float], *, f_number: float | None = None, method: Method = "shift",
+    progress: Say | bool | None = None,
+) -> FocalStack:  # fmt: skip
     """Focus a light field on several planes; see `refocus`.
 
     Parameters
@@ -77,6 +79,9 @@ def focal_stack(
         Before the first vertex.
     f_number : float, optional
     method : {"shift", "fourier"}
+    progress : callable or bool, optional
+        Called with the progress in words. True shows it, False nothing. Default: it is shown at a terminal or in a
+        notebook after two seconds.
 
     Returns
     -------
@@ -89,7 +94,8 @@ def focal_stack(
     """
     if not len(distances_mm):
         raise LfmeshError("distances_mm is empty: a focal stack needs at least one plane")
-    return FocalStack(_photographs(field, distances_mm, f_number, method))
+    with announced(progress) as say:
+        return FocalStack(_photographs(field, distances_mm, f_number, method, say))
 
 
 def range_warning(field: LightField, distances_mm: Sequence[float]) -> str | None:
@@ -106,7 +112,7 @@ def range_warning(field: LightField, distances_mm: Sequence[float]) -> str | Non
 
 
 def _photographs(
-    field: LightField, distances_mm: Sequence[float], f_number: float | None, method: Method
+    field: LightField, distances_mm: Sequence[float], f_number: float | None, method: Method, say: Say = silent
 ) -> tuple[Photograph, ...]:
     if method not in ("shift", "fourier"):
         raise LfmeshError(f'method = {method!r}: use "shift" or "fourier"')
@@ -119,6 +125,7 @@ def _photographs(
         warnings.warn(note, stacklevel=3)
     photographs = []
     for distance, shift in zip(distances_mm, shifts, strict=True):
+        say(f"photograph {len(photographs) + 1} of {len(shifts)}")
         mean, stderr, coverage = _shifted_sum(field, shift, shares, sharp=method == "fourier")
         if spectra is not None:
             known = np.isfinite(mean)

@@ -20,6 +20,7 @@ from lfmesh.lightfield.rays.ray_model import RayModel
 from lfmesh.lightfield.rays.view_cameras import ViewCameras, view_cameras
 from lfmesh.lightfield.rays.view_rays import ViewRays
 from lfmesh.lightfield.views.decode import view_count
+from lfmesh.notebook import Say, announced
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import plain
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
@@ -95,8 +96,9 @@ class CameraModel:
 
 
 def camera_model(
-    image_or_scene: Image | Scene, *, views: int | None = None, distances_mm: tuple[float, ...] | None = None
-) -> CameraModel:
+    image_or_scene: Image | Scene, *, views: int | None = None, distances_mm: tuple[float, ...] | None = None,
+    progress: Say | bool | None = None,
+) -> CameraModel:  # fmt: skip
     """Trace the object-space ray of every pixel and fit a pinhole to every view, at the primary wavelength.
 
     Rays are in the air before the first surface; targets and tanks are ignored. Each pixel belongs to the lenslet with
@@ -109,6 +111,9 @@ def camera_model(
         Along each axis (default: as for `lf.decode`).
     distances_mm : tuple of float, optional
         Distances for the fit of pinholes, before the first vertex (default: the range that refocuses sharply).
+    progress : callable or bool, optional
+        Called with the progress in words. True shows it, False nothing. Default: it is shown at a terminal or in a
+        notebook after two seconds.
 
     Returns
     -------
@@ -120,6 +125,12 @@ def camera_model(
         A conventional camera, a camera that passes no light, or an invalid number of views or distance.
     """
     scene = image_or_scene.scene if isinstance(image_or_scene, Image) else image_or_scene
+    with announced(progress) as say:
+        return _traced(scene, views, distances_mm, say)
+
+
+def _traced(scene: Scene, views: int | None, distances_mm: tuple[float, ...] | None, say: Say) -> CameraModel:
+    say("camera model: rays of the pixels")
     bare = scene.changed({"targets": (), "lights": (), "tanks": (), "media": (), "particles": ()})
     plate = plate_of(solved_camera(bare).scene)
     rays = ViewRays.of_camera(solved_camera(bare).scene)
@@ -158,7 +169,7 @@ def camera_model(
         weight.reshape(height, width),
         lenslet.reshape(height, width, 2),
         central.reshape(height, width),
-        view_cameras(rays, view_count(rays.calibration, views), distances),
+        view_cameras(rays, view_count(rays.calibration, views), distances, say),
         scene.primary_nm,
         solved_camera(scene).scene,
     )

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 from lfmesh.geometry import frame as frames
 from lfmesh.lightfield.rays.view_rays import ViewRays
+from lfmesh.notebook import Say, silent
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Status
 
@@ -84,7 +85,7 @@ def distorted(place: Array, distortion: Array) -> Array:
     )
 
 
-def view_cameras(rays: ViewRays, views: int, distances_mm: Array) -> ViewCameras:
+def view_cameras(rays: ViewRays, views: int, distances_mm: Array, say: Say = silent) -> ViewCameras:
     """Fit a pinhole to the rays of every view.
 
     Parameters
@@ -95,6 +96,8 @@ def view_cameras(rays: ViewRays, views: int, distances_mm: Array) -> ViewCameras
         Along each axis.
     distances_mm : (n,) float64
         Distances of the fit before the first vertex.
+    say : callable, optional
+        Called with the progress in words.
     """
     shape = (views, views)
     intrinsics, rotation = np.full((2, *shape, 3, 3), np.nan)
@@ -106,6 +109,7 @@ def view_cameras(rays: ViewRays, views: int, distances_mm: Array) -> ViewCameras
     to_camera = rays.world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
     turn = TO_OPENCV @ to_camera[:, :3]
     for v, u in np.ndindex(shape):
+        say(f"camera model: view {v * views + u + 1} of {views * views}")
         paths, sample = rays.trace(v - 0.5 * (views - 1), u - 0.5 * (views - 1), every)
         out = paths.status == Status.ESCAPED
         if out.sum() < LEAST_RAYS:

@@ -30,6 +30,7 @@ from lfmesh.lightfield.rays.view_rays import ViewRays, traced_shift
 from lfmesh.lightfield.views.decode import BRIGHT_PERCENTILE, DARK, view_count
 from lfmesh.lightfield.views.focused import lenslet_blur_px
 from lfmesh.lightfield.views.upright import Upright
+from lfmesh.notebook import Say, announced
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 
@@ -105,10 +106,17 @@ def patch_stack(image: Image, distances_mm: Sequence[float], *, white: Image | N
         As from `render_patches`, or no distance is given.
     """
     camera, step = _for_distances(image, distances_mm, white)
-    return FocalStack(tuple(_photograph(camera, distance, step) for distance in distances_mm))
+    photographs = []
+    with announced(None) as say:
+        for number, distance in enumerate(distances_mm):
+            say(f"patches: plane {number + 1} of {len(distances_mm)}")
+            photographs.append(_photograph(camera, distance, step))
+    return FocalStack(tuple(photographs))
 
 
-def patches_in_focus(image: Image, distances_mm: Sequence[float], *, white: Image | None = None) -> AllInFocus:
+def patches_in_focus(
+    image: Image, distances_mm: Sequence[float], *, white: Image | None = None, progress: Say | bool | None = None
+) -> AllInFocus:
     """Render each place with the patch size for which lenslets agree best.
 
     Parameters
@@ -116,6 +124,9 @@ def patches_in_focus(image: Image, distances_mm: Sequence[float], *, white: Imag
     image : Image
     distances_mm : sequence of float
     white : Image, optional
+    progress : callable or bool, optional
+        Called with the progress in words. True shows it, False nothing. Default: it is shown at a terminal or in a
+        notebook after two seconds.
 
     Returns
     -------
@@ -127,9 +138,15 @@ def patches_in_focus(image: Image, distances_mm: Sequence[float], *, white: Imag
         As from `render_patches`, or no distance is given.
     """
     camera, step = _for_distances(image, distances_mm, white)
+    with announced(progress) as say:
+        return _in_focus(camera, distances_mm, step, say)
+
+
+def _in_focus(camera: _Focused, distances_mm: Sequence[float], step: float, say: Say) -> AllInFocus:
     window = WINDOW * camera.calibration.lenslet_pitch_mm / step
     best: Array | None = None
-    for distance in distances_mm:
+    for number, distance in enumerate(distances_mm):
+        say(f"patches: plane {number + 1} of {len(distances_mm)}")
         mean, stderr, variance = _rendered(camera, distance, step)
         known = np.isfinite(variance)
         weight = ndimage.gaussian_filter(known.astype(np.float64), window)
@@ -142,7 +159,7 @@ def patches_in_focus(image: Image, distances_mm: Sequence[float], *, white: Imag
         best = np.where(better, cost, best)
         picture, error = np.where(better[..., None], mean, picture), np.where(better[..., None], stderr, error)
         chosen = np.where(better, distance, chosen)
-    return AllInFocus(picture, error, chosen, image.wavelengths_nm, camera.unit)
+    return AllInFocus(picture, error, chosen, camera.scene.wavelengths_nm, camera.unit)
 
 
 def patch_px(scene: Scene, distance_mm: float) -> float:

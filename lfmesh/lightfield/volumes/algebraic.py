@@ -4,6 +4,7 @@ Solvers take a matrix by rows and an image, with entries and pixels near 1. They
 residual at the start and after each iteration.
 """
 
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.kernels.decorators import kernel
+from lfmesh.notebook import Say
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -46,7 +48,9 @@ def relative_residual(rows: "csr_array", b: Array, x: Array) -> float:
     return float(np.linalg.norm(b - rows @ x) / np.linalg.norm(b))
 
 
-def _mart(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, step: float) -> tuple[Array, Array]:
+def _mart(
+    rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, step: float, say: Say
+) -> tuple[Array, Array]:
     b = np.maximum(b, 0.0)
     # Start from a uniform volume as bright as the image.
     sums = np.asarray(rows.sum(axis=1)).ravel()
@@ -54,9 +58,10 @@ def _mart(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, ste
     if not b.any():
         return np.zeros_like(x), np.zeros(1)
     history = [relative_residual(rows, b, x)]
-    for _ in range(rounds):
+    for number in range(rounds):
         mart_round(rows.indptr, rows.indices, rows.data, b, step, x)
         history.append(relative_residual(rows, b, x))
+        say(_told(number, rounds, history))
     return x, np.array(history)
 
 
@@ -87,8 +92,8 @@ def mart_round(
 
 
 def _richardson_lucy(
-    rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: float
-) -> tuple[Array, Array]:  # fmt: skip
+    rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: float, say: Say
+) -> tuple[Array, Array]:
     sums, columns = np.asarray(rows.sum(axis=0)).ravel(), rows.T.tocsr()
     # Pixels that see no voxel are not part of the likelihood.
     b = np.where(np.diff(rows.indptr) > 0, np.maximum(b, 0.0), 0.0)
@@ -96,31 +101,39 @@ def _richardson_lucy(
     if not b.any():
         return np.zeros_like(x), np.zeros(1)
     history = [relative_residual(rows, b, x)]
-    for _round in range(rounds):
+    for number in range(rounds):
         shown = rows @ x
         x = x * _inverse(sums) * (columns @ (b * _inverse(shown)))
         history.append(relative_residual(rows, b, x))
+        say(_told(number, rounds, history))
     return x, np.array(history)
 
 
-def _sart(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, step: float) -> tuple[Array, Array]:
+def _sart(
+    rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, step: float, say: Say
+) -> tuple[Array, Array]:
     over_rows = _inverse(np.asarray(rows.sum(axis=1)).ravel())
     over_columns = step * _inverse(np.asarray(rows.sum(axis=0)).ravel())
     columns = rows.T.tocsr()
     x = np.zeros(rows.shape[1])
     history = [1.0]
-    for _ in range(rounds):
+    for number in range(rounds):
         x += over_columns * (columns @ (over_rows * (b - rows @ x)))
         np.maximum(x, 0.0, out=x)
         history.append(relative_residual(rows, b, x))
+        say(_told(number, rounds, history))
     return x, np.array(history)
+
+
+def _told(number: int, rounds: int, history: list[float]) -> str:
+    return f"iteration {number + 1} of {rounds}, residual {history[-1]:.3g}"
 
 
 def _inverse(sums: Array) -> Array:
     return np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 0.0)
 
 
-def _nnls(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: float) -> tuple[Array, Array]:
+def _nnls(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: float, say: Say) -> tuple[Array, Array]:
     from scipy import optimize
 
     lit = np.flatnonzero(np.diff(rows.indptr))
@@ -134,9 +147,10 @@ def _nnls(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: 
         except RuntimeError:
             raise LfmeshError('method = "nnls" did not converge on this matrix; use "sart"') from None
     else:
-        columns = part.T.tocsr()
+        columns, tries = part.T.tocsr(), count(1)
 
         def squares(y: Array) -> tuple[float, Array]:
+            say(f"volume {next(tries)} of at most {2 * rounds}")
             off = part @ y - b[lit]
             return 0.5 * float(off @ off), columns @ off
 
@@ -151,4 +165,4 @@ def _nnls(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: 
 
 
 SOLVERS = {"mart": _mart, "rl": _richardson_lucy, "sart": _sart, "nnls": _nnls}
-"""Solvers by method: each takes rows, image, mask of seen voxels, iterations and relaxation."""
+"""Solvers by method: each takes rows, image, mask of seen voxels, iterations, relaxation and receiver of progress."""

@@ -1,6 +1,6 @@
 """The projection matrix of a camera, traced in threads: expected size, blocks of pixels, and the whole matrix."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -11,6 +11,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.volumes.chords import Room, room_for
 from lfmesh.lightfield.volumes.projection_matrix import ProjectionMatrix
 from lfmesh.lightfield.volumes.projector import THRESHOLD, Block, Projector
+from lfmesh.notebook import Say, announced
 from lfmesh.scene import Scene
 from lfmesh.scene.memory import fits_into_memory
 from lfmesh.transport.threads import Threads
@@ -26,7 +27,7 @@ ENTRY_BYTES = 16
 def projection_matrix(
     scene: Scene, grid: Any, *, channel: int = 0, pixels: ArrayLike | None = None, threshold: float = THRESHOLD,
     absorption: bool = False, inside: str | None = None, tolerance: float = TOLERANCE,
-    say: Callable[[str], None] | None = None,
+    say: Say | bool | None = None,
 ) -> ProjectionMatrix:  # fmt: skip
     """Trace the power on every pixel of a camera from every voxel of an emitting grid.
 
@@ -58,8 +59,9 @@ def projection_matrix(
         Name of the body of glass or liquid that contains the grid, such as "tanks[0] liquid" (default: none).
     tolerance : float
         With diffraction, largest error of a column over its light, as for `lf.point_spread`.
-    say : callable, optional
-        Called with messages, the expected size first.
+    say : callable or bool, optional
+        Called with messages, the expected size first. True shows the progress, False nothing. Default: it is shown at a
+        terminal or in a notebook after two seconds.
 
     Returns
     -------
@@ -81,11 +83,10 @@ def projection_matrix(
     projector = Projector(scene, grid, channel, threshold, absorption=absorption, inside=inside, tolerance=tolerance)
     chosen = pixels_of(projector, pixels)
     size = size_in_words(projector, chosen)
-    if say is not None:
-        say(size.words)
     if not fits_into_memory(size.bytes):
         raise LfmeshError(f"{size.words}: more than this machine's memory; stream it with lf.write_projection_matrix")
-    done = list(computed(projector, list(projector.blocks(chosen))))
+    with announced(say) as shown:
+        done = _all_blocks(projector, chosen, size, shown)
     end = np.cumsum([0, *np.concatenate([block.entries for block in done])])
     column = np.concatenate([block.column for block in done])
     value = np.concatenate([block.value for block in done])
@@ -103,6 +104,16 @@ def projection_matrix(
         projector.warnings(np.sum([block.book for block in done], axis=0)),
         projector.world.scene.camera.sensor.pixels,
     )
+
+
+def _all_blocks(projector: Projector, pixels: Numbers, size: "Size", say: Say) -> list[Block]:
+    """Return the rows of all blocks of pixels, with the progress in words."""
+    say(size.words)
+    done, blocks = [], list(projector.blocks(pixels))
+    for block in computed(projector, blocks):
+        done.append(block)
+        say(f"{size.words}: {100 * len(done) // len(blocks)} % of the pixels")
+    return done
 
 
 def not_seen(projector: Projector) -> str:

@@ -4,7 +4,6 @@ Image b, matrix A and emission x satisfy b = A x, with x ≥ 0. One camera sees 
 volumes give the same image; the method selects one.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,6 +15,7 @@ from lfmesh.lightfield.volumes import regularised, volume_error
 from lfmesh.lightfield.volumes.algebraic import ITERATIONS, SOLVERS, relative_residual
 from lfmesh.lightfield.volumes.projection_matrix import ProjectionMatrix
 from lfmesh.lightfield.volumes.resolution_messages import fine_voxels
+from lfmesh.notebook import Say, announced, silent
 from lfmesh.scene.literals import literal
 from lfmesh.transport.render.image import Image
 
@@ -130,7 +130,7 @@ def volume_quality(found: ArrayLike, true: ArrayLike) -> float:
 def reconstruct(
     matrix: Any, image: Image | ArrayLike, method: Method = "mart", iterations: int | None = None,
     relaxation: float | None = None, *, noise: ArrayLike | None = None,
-    strength: float | Literal["half-sets", "discrepancy"] | None = None, say: Callable[[str], None] | None = None,
+    strength: float | Literal["half-sets", "discrepancy"] | None = None, say: Say | bool | None = None,
 ) -> Reconstruction:  # fmt: skip
     """Reconstruct the emission of a volume from an image of it.
 
@@ -173,8 +173,9 @@ def reconstruct(
         "discrepancy": the largest strength with a squared residual equal to the noise's, which must be known; if there
         is none, 3 standard deviations more are allowed. The matrix's own errors count as noise, so the strength is far
         too large for an image made by this very matrix.
-    say : callable, optional
-        Called with messages on each strength tried.
+    say : callable or bool, optional
+        Called with messages on each strength tried, or on each iteration. True shows the progress, False nothing.
+        Default: it is shown at a terminal or in a notebook after two seconds.
 
     Returns
     -------
@@ -215,12 +216,15 @@ def reconstruct(
         if noise is None and isinstance(image, Image):
             noise, certain = image.error, 1.0
         sigma = None if noise is None else _noise(noise, b, matrix) / level
-        task = _Task(matrix, rows, b, seen, shape, method, unit, certain, say or (lambda _: None))
-        found = task.solved(sigma, strength)
+        with announced(say) as shown:
+            step = silent if callable(say) else shown
+            task = _Task(matrix, rows, b, seen, shape, method, unit, certain, shown, step)
+            found = task.solved(sigma, strength)
         warn_caller(found.warnings)
         return replace(found, warnings=(*warned, *found.warnings))
     rounds = ITERATIONS[method] if iterations is None else int(iterations)
-    x, residual = SOLVERS[method](rows, b, seen, rounds, 1.0 if relaxation is None else float(relaxation))
+    with announced(say) as shown:
+        x, residual = SOLVERS[method](rows, b, seen, rounds, 1.0 if relaxation is None else float(relaxation), shown)
     x[~seen] = 0.0
     return Reconstruction(x.reshape(shape) * unit, seen.reshape(shape), residual, method, warned)
 
@@ -277,7 +281,8 @@ class _Task:
     method: str
     unit: float
     certain: float
-    say: Callable[[str], None]
+    say: Say
+    step: Say
 
     def solved(self, noise: Array | None, strength: float | str | None) -> Reconstruction:
         """Return the volume, for known or unknown noise of the pixels."""
@@ -294,6 +299,7 @@ class _Task:
             problem = self._problem(np.sqrt(variance))
         strength, tried = self._chosen(problem, strength)
         x = problem.path(strength)
+        self.step(f"strength {strength:.3g}: the error")
         halved = volume_error.Halved.of(problem, strength)
         error = volume_error.error_by_halves(halved)
         total = np.nan
@@ -338,7 +344,8 @@ class _Task:
     def _problem(self, noise: Array) -> regularised.Problem:
         lit = np.flatnonzero(np.diff(self.rows.indptr))
         penalty = regularised.penalty(self.shape, self.seen, self.method == "tv")
-        return regularised.Problem.of(self.rows[lit][:, np.flatnonzero(self.seen)], self.b[lit], noise[lit], penalty)
+        rows = self.rows[lit][:, np.flatnonzero(self.seen)]
+        return replace(regularised.Problem.of(rows, self.b[lit], noise[lit], penalty), step=self.step)
 
     def _whole(self, x: Array) -> Array:
         """Return a full volume from its seen voxels, with the others dark."""

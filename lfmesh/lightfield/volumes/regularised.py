@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
+from lfmesh.notebook import Say, silent
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.volumes.projection_matrix import ProjectionMatrix
 
 Array = NDArray[np.float64]
-Say = Callable[[str], None]
 Choice = Literal["half-sets", "discrepancy"]
 
 STRONGEST, WEAKEST, STEP = 1024.0, 1e-7, 4.0
@@ -49,6 +49,9 @@ SETTLED = 1e-5
 
 MOST_STEPS = 2000
 """Most steps of the solver for each strength."""
+
+SAID_EVERY = 20
+"""Steps of the solver from one message to the next."""
 
 REWEIGHTINGS = 4
 """Reweightings of total variation for each strength."""
@@ -126,6 +129,8 @@ class Problem:
         λ that gives penalty and data equal weight; strengths are relative to it.
     mean : float
         Mean emission of a volume as bright as the image, or as equally strong noise.
+    step : callable
+        Called now and then with the progress of the solver in words.
     """
 
     rows: "csr_array"
@@ -133,6 +138,7 @@ class Problem:
     penalty: Penalty
     scale: float
     mean: float
+    step: Say = silent
 
     @classmethod
     def of(cls, rows: "csr_array", b: Array, noise: Array, penalty: Penalty) -> "Problem":
@@ -169,10 +175,11 @@ class Problem:
         """Return the volume for a strength, starting from a nearby one."""
         variation = self.penalty.total_variation
         for _ in range(REWEIGHTINGS if variation else 1):
-            x = self._least(strength * self.scale * self.penalty.matrix(x, self.mean), x)
+            weighted = strength * self.scale * self.penalty.matrix(x, self.mean)
+            x = self._least(weighted, x, f"strength {strength:.3g}")
         return x
 
-    def _least(self, penalty: "csr_array", x: Array) -> Array:
+    def _least(self, penalty: "csr_array", x: Array, words: str) -> Array:
         # Diagonal scaling, so that weakly seen voxels converge as fast as others.
         size = np.asarray(self.rows.power(2).sum(axis=0)).ravel() + penalty.diagonal()
         # Voxels without information from pixels or neighbours stay unchanged.
@@ -183,7 +190,10 @@ class Problem:
             at = unit * y
             return np.asarray(unit * (across @ (self.rows @ at) + penalty @ at))
 
-        return unit * nonnegative_minimum(times, unit * (across @ self.b), x / unit)
+        def said(used: int) -> None:
+            self.step(f"{words}: step {used} of at most {MOST_STEPS}")
+
+        return unit * nonnegative_minimum(times, unit * (across @ self.b), x / unit, said)
 
     def path(self, strength: float) -> Array:
         """Return the volume for a strength by way of stronger ones, independent of any start."""
@@ -201,7 +211,9 @@ def steps_to(strength: float) -> list[float]:
     return [strength * STEP**k for k in range(above, -1, -1)]
 
 
-def nonnegative_minimum(times: Callable[[Array], Array], g0: Array, x: Array) -> Array:
+def nonnegative_minimum(
+    times: Callable[[Array], Array], g0: Array, x: Array, said: Callable[[int], None] | None = None
+) -> Array:
     """Minimise ½ xᵀ H x − g0ᵀ x with x ≥ 0, by conjugate gradients in the faces of the bounds.
 
     Z. Dostál & J. Schöberl, "Minimizing quadratic functions over non-negative cone with the rate of convergence and
@@ -213,6 +225,8 @@ def nonnegative_minimum(times: Callable[[Array], Array], g0: Array, x: Array) ->
         Product of H and a vector; H is symmetric without negative eigenvalues.
     g0, x : (n,) float64
         x is the start of the search.
+    said : callable, optional
+        Called now and then with the number of steps.
     """
     x = np.maximum(x, 0.0)
     largest = _largest_eigenvalue(times, len(x))
@@ -224,6 +238,8 @@ def nonnegative_minimum(times: Callable[[Array], Array], g0: Array, x: Array) ->
     p, enough, used = free, (SETTLED * np.linalg.norm(g0)) ** 2, 0
     while used < MOST_STEPS and free @ free + chopped @ chopped > enough:
         used += 1
+        if said is not None and used % SAID_EVERY == 0:
+            said(used)
         if chopped @ chopped > reduced @ free:
             p = chopped
         hp = times(p)

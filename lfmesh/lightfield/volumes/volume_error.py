@@ -6,17 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lfmesh.lightfield.volumes.regularised import (
-    SIGMAS,
-    STEP,
-    WEAKEST,
-    Array,
-    Problem,
-    Say,
-    chance,
-    halves,
-    steps_to,
-)
+from lfmesh.lightfield.volumes.regularised import SIGMAS, STEP, WEAKEST, Array, Problem, chance, halves, steps_to
+from lfmesh.notebook import Say
 
 TINY = float(np.finfo(np.float64).tiny)
 

@@ -31,7 +31,8 @@ from lfmesh.study.sweeps.axes import is_number
 from lfmesh.study.sweeps.paths import value_at
 from lfmesh.study.sweeps.plan import MOST_POINTS, path_faults, pinned_with, seed_of
 from lfmesh.study.sweeps.pool import here, in_pool
-from lfmesh.study.sweeps.study import Progress, Report, Shard, check_workers, cores, default_workers, lists_settings
+from lfmesh.study.sweeps.progress import Progress, Report, reported
+from lfmesh.study.sweeps.study import Shard, check_workers, cores, default_workers, lists_settings
 from lfmesh.study.sweeps.study_file import refused
 from lfmesh.study.sweeps.study_folder import append_event
 from lfmesh.transport.build import build
@@ -298,7 +299,7 @@ class Dataset:
         *,
         workers: int | None = None,
         shard: Shard | None = None,
-        progress: Report | None = None,
+        progress: Report | bool | None = None,
     ) -> Made:
         """Make the missing items, and write the index of all finished ones.
 
@@ -310,7 +311,9 @@ class Dataset:
             Number of processes; 0: only this one. Default: as many as the cores allow.
         shard : (int, int), optional
             Share of the items to make, such as (1, 3); several shares may run in one folder.
-        progress : callable, optional
+        progress : callable or bool, optional
+            Called with the progress after each item. True shows it, False nothing. Default: it is shown at a terminal
+            or in a notebook after two seconds.
 
         Returns
         -------
@@ -330,7 +333,8 @@ class Dataset:
             The folder holds another dataset or cannot be written.
         """
         check_workers(workers)
-        return _Making(self, Path(folder), progress).complete(workers, shard)
+        with reported(progress, "items", "item") as report:
+            return _Making(self, Path(folder), report).complete(workers, shard)
 
     def summary(self) -> dict[str, Any]:
         """Return the dataset as plain values, as stored in its folder.

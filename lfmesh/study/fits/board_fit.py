@@ -4,7 +4,7 @@ Least squares on traced rays: the ray of each observed corner should meet that c
 fit is the prior, with its errors and undetermined parameters.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.lightfield.calibration.calibration import calibrate
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.rays.ray_model import RayModel
+from lfmesh.notebook import Say, announced, silent
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import counted, plain
 from lfmesh.study.fits.board_corners import BoardCorners
@@ -158,7 +159,7 @@ class BoardFit:
 def fit_boards(
     white: Image | Exposed | NDArray[Any], scene: Scene, boards: Sequence[Board], *,
     also: Mapping[str, float] | None = None, orientation: Orientation = "upright", samples: int = SAMPLES,
-    progress: Callable[[str], None] | None = None,
+    progress: Say | bool | None = None,
 ) -> BoardFit:  # fmt: skip
     """Estimate the assembly errors and focus of a camera, and the poses of boards in front of it.
 
@@ -188,13 +189,14 @@ def fit_boards(
     parameters_of(start, also)
     distance = start.camera.mla.distance_mm if start.camera.mla is not None else None
     further = {FOCUS: FOCUS_REACH * float(distance or 0.0), **(also or {})}
-    by_white = fit(white, start, also=further, orientation=orientation, samples=samples, progress=progress)
-    return with_boards(by_white, start, light_of(white, start, orientation), boards, orientation, progress)
+    with announced(progress) as say:
+        by_white = fit(white, start, also=further, orientation=orientation, samples=samples, progress=say)
+        return with_boards(by_white, start, light_of(white, start, orientation), boards, orientation, say)
 
 
 def with_boards(
     by_white: Fit, start: Scene, light: Array, boards: Sequence[Board], orientation: Orientation = "upright",
-    progress: Callable[[str], None] | None = None,
+    progress: Say = silent,
 ) -> BoardFit:  # fmt: skip
     """Fit boards after the white image has been fitted.
 
@@ -216,19 +218,16 @@ def with_boards(
     LfmeshError
         As for `fit_boards`.
     """
-    say = progress or (lambda _: None)
-    say("finding corners")
+    progress("finding corners")
     seen = corners_of(boards, by_white.scene, light, orientation)
     model = FitModel(start, tuple(each.parameter for each in by_white.estimates), SAMPLES)
-    return _Adjustment(by_white, model, seen, say).run()
+    return _Adjustment(by_white, model, seen, progress).run()
 
 
 class _Adjustment:
     """Rounds of a board fit; each traces the camera fitted in the round before."""
 
-    def __init__(
-        self, by_white: Fit, model: FitModel, seen: Sequence[BoardCorners], say: Callable[[str], None]
-    ) -> None:
+    def __init__(self, by_white: Fit, model: FitModel, seen: Sequence[BoardCorners], say: Say) -> None:
         self.by_white, self.model, self.seen, self.say = by_white, model, seen, say
         self.decoded = calibrate(by_white.scene)
         self.reach = max(float(np.abs(each.view).max()) for each in seen) + 0.5

@@ -5,7 +5,7 @@ range, found by singular values, keep the scene's values; the known combinations
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,7 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.lightfield.calibration.calibration import calibrate
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.rays.ray_model import RayModel
+from lfmesh.notebook import Say, announced
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import counted, plain
 from lfmesh.study.fits.fit_errors import Split, neighbours_meat
@@ -158,7 +159,7 @@ class Fit:
 
 def fit(
     white: Image | Exposed | NDArray[Any], scene: Scene, *, also: Mapping[str, float] | None = None,
-    orientation: Orientation = "upright", samples: int = SAMPLES, progress: Callable[[str], None] | None = None,
+    orientation: Orientation = "upright", samples: int = SAMPLES, progress: Say | bool | None = None,
 ) -> Fit:  # fmt: skip
     """Estimate the assembly errors of a camera from its white image.
 
@@ -177,8 +178,9 @@ def fit(
         Orientation of an array: as displayed, rotated by 180°, or with row 0 at −y and column 0 at −x of the sensor.
     samples : int
         Samples per pixel of the simulated white images.
-    progress : callable, optional
-        Called with a description of the current step.
+    progress : callable or bool, optional
+        Called with a description of the current step. True shows it, False nothing. Default: it is shown at a terminal
+        or in a notebook after two seconds.
 
     Returns
     -------
@@ -200,7 +202,8 @@ def fit(
     model = FitModel(start, parameters_of(start, also), samples + samples % 2)
     light = light_of(white, start, orientation)
     try:
-        return _Search(model, light, progress or (lambda _: None)).run()
+        with announced(progress) as say:
+            return _Search(model, light, say).run()
     finally:
         warn_caller(_warnings(model))
 
@@ -212,7 +215,7 @@ def _warnings(model: FitModel) -> tuple[PictureWarning, ...]:
 class _Search:
     """Rounds of a fit; each simulates the camera fitted in the round before."""
 
-    def __init__(self, model: FitModel, light: Array, say: Callable[[str], None]) -> None:
+    def __init__(self, model: FitModel, light: Array, say: Say) -> None:
         self.model, self.light, self.say = model, light, say
         self.pitch = RayModel.of(model.scene).micro_image_pitch_px
         self.measured = micro_image_places(light, model.scene)

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from lfmesh.errors import LfmeshError
+from lfmesh.notebook import Say, announced
 from lfmesh.scene import Scene
 from lfmesh.scene.files import load
 from lfmesh.scene.literals import literal
 from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Term, Variable, read_design
 from lfmesh.study.optimise.figures import FIGURES, shown_value
 from lfmesh.study.optimise.problem import KEPT, Problem, Rated, excess_of, is_rounding, share_of
-from lfmesh.study.optimise.search import Say, Search
+from lfmesh.study.optimise.search import Search
 from lfmesh.wrapping import wrapped
 
 REACHED = 1e-3
@@ -212,7 +213,7 @@ def optimise(
     constraints: Sequence[Constraint | Mapping[str, Any]] = (),
     rays: Mapping[str, Any] | None = None,
     search: Mapping[str, Any] | None = None,
-    progress: Say | None = None,
+    progress: Say | bool | None = None,
 ) -> Optimum:
     """Vary numbers of a camera for the best merit.
 
@@ -232,8 +233,9 @@ def optimise(
         Keys of `[rays]`: object_mm, height_mm, wavelengths_nm, across.
     search : dict, optional
         Keys of `[search]`: method, starts, seed, evaluations.
-    progress : callable, optional
-        Called with the progress in words.
+    progress : callable or bool, optional
+        Called with the progress in words. True shows it, False nothing. Default: it is shown at a terminal or in a
+        notebook after two seconds.
 
     Returns
     -------
@@ -274,16 +276,21 @@ def load_design(path: str | Path) -> Problem:
     return Problem(design, load(path.parent / design.scene), str(path))
 
 
-def best_of(problem: Problem, progress: Say | None = None) -> Optimum:
+def best_of(problem: Problem, progress: Say | bool | None = None) -> Optimum:
     """Search for the best camera of a design; see `optimise`.
 
     Parameters
     ----------
     problem : Problem
-    progress : callable, optional
+    progress : callable or bool, optional
     """
+    with announced(progress) as say:
+        return _searched(problem, say)
+
+
+def _searched(problem: Problem, say: Say) -> Optimum:
     began = time.perf_counter()
-    search = Search(problem, progress)
+    search = Search(problem, say)
     complete = False
     try:
         search.run()

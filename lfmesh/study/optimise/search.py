@@ -8,11 +8,12 @@ The search ends early if only rounding error is left of the merit.
 import contextlib
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.notebook import Say
 from lfmesh.study.optimise.idle import Idle, idle_variables
 from lfmesh.study.optimise.jet import Jet
 from lfmesh.study.optimise.problem import KEPT, Picks, Place, Pressure, Problem, Rated, joined, picked
@@ -56,8 +57,6 @@ NONE = 1e300
 
 LIMITS_ALONE = Pressure(1.0, 0.0, merit=0.0)
 """Pressure that ignores the merit."""
-
-Say = Callable[[str], None]
 
 
 class _ExactError(Exception):

@@ -5,7 +5,6 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from lfmesh.study.metrics.metrics import columns_of
 from lfmesh.study.sweeps.cluster import in_dask
 from lfmesh.study.sweeps.plan import Plan, load_scenes, plan_of
 from lfmesh.study.sweeps.pool import Result, here, in_pool
+from lfmesh.study.sweeps.progress import Progress, Report, reported
 from lfmesh.study.sweeps.sentences import beyond_limits, unknown_of_reference
 from lfmesh.study.sweeps.study_file import StudyFile, read_study
 from lfmesh.study.sweeps.study_folder import StudyFolder, read_facts, refuse_other
@@ -30,44 +30,6 @@ TABLE, PAGE, TIMES, PARQUET = "table.csv", "report.html", "times.csv", "table.pa
 
 Shard = tuple[int, int]
 """Number of a shard of the units, from 1, and the number of shards."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Progress of a study.
-
-    Attributes
-    ----------
-    done, total : int
-        Numbers of units.
-    new : int
-        Units finished in this run.
-    failed : int
-        Points that cannot be traced.
-    seconds : float
-        Duration of this run.
-    best, worst : str
-        Best and worst point by the first metric, in words, or "".
-    size_left : float
-        Mean number of cameras in the remaining units, over that in the units of this run.
-    """
-
-    done: int
-    total: int
-    new: int
-    failed: int
-    seconds: float
-    best: str = ""
-    worst: str = ""
-    size_left: float = 1.0
-
-    @property
-    def seconds_left(self) -> float | None:
-        """Remaining time at the rate of this run."""
-        return self.seconds / self.new * (self.total - self.done) * self.size_left if self.new else None
-
-
-Report = Callable[[Progress], None]
 
 
 def lists_settings(kind: type[Model], own: set[str]) -> Callable[[Function], Function]:
@@ -167,7 +129,7 @@ class Study:
         workers: int | None = None,
         dask: str | None = None,
         shard: Shard | None = None,
-        progress: Report | None = None,
+        progress: Report | bool | None = None,
     ) -> Table:
         """Compute the missing units, and write the table; its bits do not depend on the way of computing.
 
@@ -181,7 +143,9 @@ class Study:
             Address of a dask scheduler, or "local".
         shard : (int, int), optional
             Share of the units to compute, such as (1, 3); `merge` combines the shares.
-        progress : callable, optional
+        progress : callable or bool, optional
+            Called with the progress after each unit. True shows it, False nothing. Default: it is shown at a terminal
+            or in a notebook after two seconds.
 
         Returns
         -------
@@ -200,7 +164,8 @@ class Study:
             The folder holds another study or cannot be written.
         """
         check_workers(workers)
-        return Run(self.plan, Path(folder), progress).complete(workers, dask, shard)
+        with reported(progress) as report:
+            return Run(self.plan, Path(folder), report).complete(workers, dask, shard)
 
     def table(self, folder: str | Path) -> Table:
         """Return the table of the finished units in a folder.

@@ -22,6 +22,7 @@ NO_RUN = (
     "The light-field views need a run: render the scene with lfmesh render scene.toml -o run/, then open the page with "
     "lfmesh view run/ --browser."
 )
+NO_LENSLET = "covered by no micro-image, so no view shows it"
 NO_ARRAY = "This camera has no microlens array: it records no light field."
 
 
@@ -40,7 +41,7 @@ class LightFieldPanel:
         self._subject, self._scene, self._image = subject, subject.scene, subject.image
         self._picture: SensorPicture | None = None
         self._views: FieldViews | None = None
-        self._marked: tuple[int, int] | None = None
+        self._marked: tuple[range, range] | None = None
         self._epi_at: Place | None = None
         self._state.update(_first_state(subject))
         replies.on_change(["tab", "side", "centres"], self._open)
@@ -66,25 +67,39 @@ class LightFieldPanel:
     def mark(self, rows: range, columns: range) -> None:
         """Mark pixels in the sensor picture."""
         self._state.raw_marked = list(self.picture.box(rows, columns))
-        self._marked = (rows.start, columns.start) if len(rows) == len(columns) == 1 else None
+        self._marked = (rows, columns)
 
     @property
-    def marked(self) -> tuple[int, int] | None:
-        """Row and column of the marked pixel."""
+    def marked(self) -> tuple[range, range] | None:
+        """Rows and columns of the marked pixels."""
         return self._marked
 
     def _open(self) -> None:
         """Fill a tab when it is first opened."""
         state = self._state
-        if state.tab == "field" and state.has_field and self._views is None:
+        if state.tab == "field" and state.has_field:
             try:
-                self._views = self._subject.field_views
+                self._read()
             except LfmeshError as fault:
                 state.has_field, state.field_note = False, str(fault)
                 return
-            self._show_field(self._views)
         if (state.tab == "field" and state.has_field) or state.side == "sensor":
             self._show_raw()
+
+    def _read(self) -> FieldViews:
+        """Return the light field, read and shown at first use, which may be a click before the tab is filled.
+
+        Raises
+        ------
+        LfmeshError
+            There is none, or a file of it is damaged.
+        """
+        if self._views is None:
+            if not self._state.has_field:
+                raise LfmeshError(self._state.field_note)
+            self._views = self._subject.field_views
+            self._show_field(self._views)
+        return self._views
 
     def _show_raw(self) -> None:
         picture, state = self.picture, self._state
@@ -100,15 +115,15 @@ class LightFieldPanel:
         shown = "" if part == picture.all else f"{part.width} × {part.height} of "
         state.raw_note = f"{shown}{picture.columns} × {picture.rows} px{lenslets}"
         if self._marked is not None:
-            row, column = self._marked
-            self.mark(range(row, row + 1), range(column, column + 1))
+            self.mark(*self._marked)
 
     def _moved(self, move: Callable[..., None]) -> Callable[..., None]:
         """Return a function that moves the visible part of the picture, shows it, and clears the marked area."""
 
         def moved(*arguments: float) -> None:
             move(self.picture, *arguments)
-            self._state.raw_marked = None
+            if self._marked is not None and (len(self._marked[0]) > 1 or len(self._marked[1]) > 1):
+                self._marked = self._state.raw_marked = None
             self._show_raw()
 
         return moved
@@ -149,21 +164,23 @@ class LightFieldPanel:
         """Mark a pixel, and show the epipolar-plane image of its lenslet row."""
         row, column = self.picture.pixel(x, y)
         self.mark(range(row, row + 1), range(column, column + 1))
-        place = self._views.place(row, column) if self._views is not None else None
-        if place is not None:
-            self._show_epi(place)
-            self._show_view(place.v, place.u)
+        place = self._read().place(row, column)
+        if place is None:
+            self._state.raw_under = f"pixel row {row}, column {column}: {NO_LENSLET}"
+            return
+        self._show_epi(place)
+        self._show_view(place.v, place.u)
 
     def _show_view(self, v: int, u: int) -> None:
-        assert self._views is not None
-        field = self._views.field
-        self._state.view_src = data_url(self._views.view(v, u))
+        views = self._read()
+        field = views.field
+        self._state.view_src = data_url(views.view(v, u))
         self._state.view_note = f"v {v}, u {u} of {field.views[0]} × {field.views[1]}"
 
     def _refocus(self, step: int) -> None:
-        assert self._views is not None
-        distance = self._views.planes_mm[min(max(int(step), 0), STEPS)]
-        self._state.focus_src = data_url(self._views.photograph(distance))
+        views = self._read()
+        distance = views.planes_mm[min(max(int(step), 0), STEPS)]
+        self._state.focus_src = data_url(views.photograph(distance))
         self._state.focus_note = f"on {_in_mm(distance)}, all views"
 
     def _show_epi(self, place: Place) -> None:
@@ -188,8 +205,8 @@ class LightFieldPanel:
 
     def _parallax(self) -> None:
         """Start or stop the circular motion of the viewpoint in the pupil."""
-        if self._views is not None:
-            self._state.parallax = [] if self._state.parallax else list(map(data_url, self._views.round_trip()))
+        views = self._read()
+        self._state.parallax = [] if self._state.parallax else list(map(data_url, views.round_trip()))
 
     def _show_depth(self, views: FieldViews) -> None:
         depth = views.depth()

@@ -57,6 +57,8 @@ HEADS = {
 }
 """Visible columns of the path table, with their headings."""
 
+NOTHING = "There is nothing at that point: click a ray, glass, a target or a pixel."
+
 STEP_HEADS = ["surface", "event", "angle in °", "R", "T", "power in {unit}", "medium", "x, y, z in mm", "roulette"]
 """Headings of a history's table."""
 
@@ -165,8 +167,7 @@ class RaysPanel:
 
     def _marked_rays(self) -> None:
         if self._light_field.marked is not None:
-            row, column = self._light_field.marked
-            self._from_pixels(range(row, row + 1), range(column, column + 1))
+            self._from_pixels(*self._light_field.marked)
 
     def _from_pixels(self, rows: range, columns: range) -> None:
         """Launch rays backwards from pixels, and update the form."""
@@ -239,8 +240,17 @@ class RaysPanel:
         if any(row.exact for row in self._table):
             self._state.table_note += " Those without ± are integrated over the pupil."
 
-    def _choose(self, number: int) -> None:
-        """Draw only one sequence, or all again if it was already chosen."""
+    def _choose(self, number: int, sequence: str) -> None:
+        """Draw only one sequence, or all again if it was already chosen.
+
+        Parameters
+        ----------
+        number : int
+        sequence : str
+            As in the table that was clicked, which rays launched since may have changed.
+        """
+        if self._rays is None or self._rays.sequences[number : number + 1] != [sequence]:
+            raise LfmeshError("other rays have been launched since this table was shown: click its row again")
         self._state.chosen = None if self._state.chosen == number else number
         self._forget_pick()
         self._draw()
@@ -289,6 +299,8 @@ class RaysPanel:
             self._from_pixels(range(found.row, found.row + 1), range(found.column, found.column + 1))
         elif isinstance(found, PickedPart):
             self._show_part(found.name)
+        else:
+            self._state.picked_note = NOTHING
         self._redraw()
 
     def _show_history(self, found: PickedRay) -> None:

@@ -14,6 +14,7 @@ from lfmesh.view.browser.replies import Replies
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.scene3d.plotter import View
+from tests.view.browser.pages import Server
 from tests.view.conftest import SCENE
 
 pytestmark = pytest.mark.drawing
@@ -24,42 +25,6 @@ name = "wall"
 shape = { kind = "plane", width_mm = 60.0, height_mm = 60.0 }
 position_mm = [0.0, 0.0, -150.0]
 """
-
-
-class State(SimpleNamespace):
-    """The page's variables, as trame keeps them."""
-
-    def __init__(self) -> None:
-        super().__init__(side="paths", expression="", colour="wavelength", fade=False, cut=False, fault="")
-        self.__dict__["said"] = []
-
-    def update(self, values: dict[str, Any]) -> None:
-        self.__dict__.update(values)
-
-    def change(self, *_names: str) -> Callable[[Any], Any]:
-        return lambda answer: answer
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        self.__dict__["said"].append((name, value))
-        self.__dict__[name] = value
-
-    def __enter__(self) -> "State":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-
-class Server:
-    """A server that keeps what answers a trigger, by its name."""
-
-    def __init__(self) -> None:
-        self.state, self.answers = State(), {}
-        exists = SimpleNamespace(exists=lambda: False)
-        self.controller = SimpleNamespace(trigger=self._trigger, redraw=exists)
-
-    def _trigger(self, name: str) -> Callable[[Any], Any]:
-        return lambda answer: self.answers.setdefault(name, answer)
 
 
 @pytest.fixture
@@ -85,3 +50,26 @@ def test_the_form_begins_at_a_point_that_the_lens_sees(panels: Any, pose: dict[s
     server.answers["launch"]({})
     assert state.fault == ""
     assert "no ray reaches" not in state.drawn
+
+
+def test_a_click_that_meets_nothing_is_answered(panels: Any, world: lf.World) -> None:
+    server, _ = panels(world)
+    server.answers["pick_in_view"](0.002, 0.002)
+    assert "nothing at that point" in server.state.picked_note
+    server.answers["pick_in_view"](0.5, 0.5)
+    assert server.state.picked != "Nothing picked"
+    assert server.state.picked_note == ""
+
+
+def test_a_row_of_a_table_that_has_changed_is_not_taken_for_another(panels: Any, world: lf.World) -> None:
+    """The number of its sequence belongs to another one by then."""
+    first, second = (launch.from_field_point(world, [0.0, y, -190.0], 30, split="both") for y in (0.0, 8.0))
+    server, _ = panels(world, first)
+    row = server.state.rows[0]
+    server.answers["choose"](row["path"], row["sequence"])
+    assert (server.state.chosen, server.state.fault) == (row["path"], "")
+    server, _ = panels(world, second)
+    stale = next(each for each in first.sequences if each != second.sequences[0])
+    server.answers["choose"](0, stale)
+    assert server.state.chosen is None
+    assert "click its row again" in server.state.fault

@@ -53,6 +53,9 @@ MOST_PX = 4096
 
 NONE = "none"
 
+REFRACTED = "refracted only: no ghosts"
+"""Description of rays without reflected children."""
+
 
 @dataclass(frozen=True)
 class Subject:
@@ -166,7 +169,7 @@ def launched(
     ]
     rays = together(parts)
     split = split or world.scene.transport.split
-    how = "refracted only" if split == "transmit" else f"split: {split}"
+    how = REFRACTED if split == "transmit" else f"split: {split}"
     words = f"{counted(number, 'ray')}{' each' if len(given) > 1 else ''} from {'; '.join(given)}; {how}"
     dark = [f"{spec}: {why}" for spec, part in zip(given, parts, strict=True) if (why := why_dark(part))]
     return Launched(rays, (words, *dark), pixels_on_array(rays))

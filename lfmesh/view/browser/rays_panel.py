@@ -19,7 +19,7 @@ from lfmesh.view.rays.filters import FilterError, parse
 from lfmesh.view.rays.ghosts import GHOST_CUTOFF, GHOST_RAYS, ghost_matrix
 from lfmesh.view.rays.history import Step, history
 from lfmesh.view.rays.path_table import PathRow, PathTable, path_table, relative_error, short_form
-from lfmesh.view.request import first_points, middle_pixel, pixels_on_array, why_dark
+from lfmesh.view.request import REFRACTED, first_points, middle_pixel, pixels_on_array, why_dark
 from lfmesh.view.scene3d.colours import ColourBy
 from lfmesh.view.scene3d.describe import describe
 from lfmesh.view.scene3d.pick import PickedPart, PickedPixel, PickedRay, pick
@@ -268,8 +268,10 @@ class RaysPanel:
             self._drawn = self._rays.keep(shown)
         self._view.show_rays(self._drawn, self._state.colour, fade=bool(self._state.fade))
         self._view.write([])
-        hidden = why_dark(self._rays) if self._rays is not None else ""
-        words = [*self._view.caption, self._whence, hidden] if self._rays is not None else ["No rays"]
+        words = ["No rays"]
+        if self._rays is not None:
+            how = "" if self._rays.reflected.any() else REFRACTED
+            words = [*self._view.caption, self._whence, how, why_dark(self._rays)]
         # The page has these words beside the picture, not in it.
         self._view.overlay.write("", [], self._view.legend)
         words.append(self._view.scale)

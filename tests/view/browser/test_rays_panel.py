@@ -13,6 +13,7 @@ from lfmesh.view.browser.rays_panel import RaysPanel
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
+from lfmesh.view.request import launched
 from lfmesh.view.scene3d.plotter import View
 from tests.view.browser.pages import Server
 from tests.view.conftest import SCENE
@@ -73,3 +74,11 @@ def test_a_row_of_a_table_that_has_changed_is_not_taken_for_another(panels: Any,
     server.answers["choose"](0, stale)
     assert server.state.chosen is None
     assert "click its row again" in server.state.fault
+
+
+@pytest.mark.parametrize("split", ["transmit", "both"])
+def test_the_caption_says_whether_ghosts_are_among_the_rays(panels: Any, world: lf.World, split: str) -> None:
+    server, _ = panels(world, launch.from_field_point(world, [0.0, 0.0, -190.0], 10, split=split))
+    assert ("no ghosts" in server.state.drawn) == (split == "transmit")
+    words = launched(world, split=split).caption[0]
+    assert ("no ghosts" in words) == (split == "transmit")

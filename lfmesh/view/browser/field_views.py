@@ -76,7 +76,18 @@ class FieldViews:
             field = decode(image, white=run.open_white(folder), calibration=self.calibration)
         self.field: LightField = field
         self.upright = Upright.of(image.scene)
-        depth = saved(folder, ESTIMATE)
+        self._folder = folder
+        self.read_depth()
+
+    def read_depth(self) -> None:
+        """Read the depth that the run has, if any.
+
+        Raises
+        ------
+        FileError
+            Its file is damaged.
+        """
+        depth = saved(self._folder, ESTIMATE)
         self.depth_mm = exr.read_map(depth, ("Z",)) if depth is not None else None
         self._true_depth_mm = exr.read_map(depth, ("truth", "Z")) if depth is not None else None
 

@@ -5,7 +5,13 @@ from collections.abc import Callable
 from typing import Any
 
 from lfmesh.errors import LfmeshError
+from lfmesh.files.depth import save_depth, save_truth
+from lfmesh.lightfield.photographs.depth import DepthMap, estimate_depth
+from lfmesh.lightfield.photographs.depth_truth import DepthTruth, depth_truth
+from lfmesh.lightfield.views.field import LightField
 from lfmesh.lightfield.views.upright import Upright
+from lfmesh.notebook import Say
+from lfmesh.view.browser.background import Background
 from lfmesh.view.browser.field_views import STEPS, FieldViews, Place
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.browser.sensor_picture import SensorPicture
@@ -43,6 +49,7 @@ class LightFieldPanel:
         self._views: FieldViews | None = None
         self._marked: tuple[range, range] | None = None
         self._epi_at: Place | None = None
+        self._background = Background(server, replies)
         self._state.update(_first_state(subject))
         replies.on_change(["tab", "side", "centres"], self._open)
         replies.on_latest("raw_hover", self._hover)
@@ -52,7 +59,12 @@ class LightFieldPanel:
         replies.on_call("raw_whole", self._moved(lambda picture: picture.whole()))
         replies.on_latest("focus", self._refocus)
         replies.on_call("parallax", self._parallax)
+        replies.on_call("find_depth", self._find_depth)
         replies.on_change(["epi_along"], self._draw_epi)
+
+    def close(self) -> None:
+        """Stop what is still being computed for the page."""
+        self._background.close()
 
     @property
     def picture(self) -> SensorPicture:
@@ -208,6 +220,27 @@ class LightFieldPanel:
         views = self._read()
         self._state.parallax = [] if self._state.parallax else list(map(data_url, views.round_trip()))
 
+    def _find_depth(self) -> None:
+        """Find the depth in the light field and the true depth, as `lfmesh depth` does; the page answers meanwhile."""
+        if self._state.depth_progress or self._read().depth_mm is not None:
+            return
+        field = self._read().field
+        self._background.begin(lambda say: _depths(field, say), self._tell_depth, self._take_depth)
+        self._tell_depth("beginning")
+
+    def _tell_depth(self, words: str) -> None:
+        self._state.depth_progress = words
+
+    def _take_depth(self, depths: tuple[DepthMap, DepthTruth]) -> None:
+        """Add depths to the run, and show them."""
+        estimate, truth = depths
+        views, folder = self._read(), self._subject.folder
+        assert folder is not None
+        save_truth(truth, folder)
+        save_depth(estimate, truth.middle_mm, folder, truth.without_depth)
+        views.read_depth()
+        self._show_depth(views)
+
     def _show_depth(self, views: FieldViews) -> None:
         depth = views.depth()
         if depth is None:
@@ -224,6 +257,7 @@ def _first_state(subject: PageSubject) -> dict[str, Any]:
     has_field = subject.image is not None and folder is not None and scene.camera.mla is not None
     names = ["raw_src", "raw_note", "raw_under", "view_src", "view_note", "focus_src", "focus_note", "focus_near"]
     names += ["focus_far", "epi_src", "epi_note", "depth_src", "depth_low", "depth_high", "depth_note", "field_size"]
+    names += ["depth_progress"]
     return {
         **dict.fromkeys(names, ""),
         "has_field": has_field,
@@ -242,6 +276,12 @@ def _first_state(subject: PageSubject) -> dict[str, Any]:
         "focus": 0,
         "focus_steps": STEPS,
     }
+
+
+def _depths(field: LightField, say: Say) -> tuple[DepthMap, DepthTruth]:
+    """Return estimate and truth of the depth of a light field, with the progress in words."""
+    estimate = estimate_depth(field, progress=say)
+    return estimate, depth_truth(field.scene, views=field.views[0], progress=say)
 
 
 def _in_mm(distance: float) -> str:

@@ -73,6 +73,7 @@ class Page:
         """Close the 3D view."""
         if self._sending is not None:
             self._sending.cancel()
+        self.light_field.close()
         self._view.plotter.close()
 
     def _lay_out(self, server: Any) -> None:

@@ -56,14 +56,22 @@ class Replies:
         @functools.wraps(answer)
         def safe(*arguments: Any) -> Any:
             self._server.state.fault = ""
-            try:
-                return answer(*arguments)
-            except LfmeshError as fault:
-                self._server.state.fault = str(fault)
-                return None
-            except Exception:
-                self._server.state.fault = OWN_MISTAKE
-                traceback.print_exc()
-                return None
+            return self.attempt(answer, *arguments)
 
         return safe
+
+    def attempt(self, answer: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a function and return its result; if it fails, show why in the page and return None."""
+        try:
+            return answer(*arguments)
+        except Exception as fault:
+            self.show(fault)
+            return None
+
+    def show(self, fault: Exception) -> None:
+        """Show a user's mistake in the page; details of an internal error go to the terminal."""
+        if isinstance(fault, LfmeshError):
+            self._server.state.fault = str(fault)
+        else:
+            self._server.state.fault = OWN_MISTAKE
+            traceback.print_exception(fault)

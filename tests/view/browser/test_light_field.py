@@ -1,6 +1,8 @@
 """The light-field part of the page without a browser: clicks before its tab is filled, and marked pixels."""
 
 import asyncio
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,8 +11,11 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.files import run
+from lfmesh.assets import asset_path
+from lfmesh.cli import main
+from lfmesh.files import exr, run
 from lfmesh.scene import Scene
+from lfmesh.view.browser.background import Background
 from lfmesh.view.browser.light_field import NO_LENSLET, LightFieldPanel
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.browser.subject import PageSubject
@@ -78,3 +83,74 @@ def test_a_marked_area_stays_one_until_the_picture_moves(folder: Path) -> None:
     server.answers["raw_zoom"](0.5, 0.5, 2.0)
     assert panel.marked == (range(40, 41), range(60, 61))
     assert server.state.raw_marked != box
+
+
+def wait_for(server: Server, name: str) -> str:
+    """Press a button of a job and wait until the job has ended; return what it said meanwhile."""
+
+    async def press() -> None:
+        server.answers[name]()
+        await asyncio.sleep(0.01)
+        while server.state.depth_progress:
+            await asyncio.sleep(0.05)
+
+    asyncio.run(press())
+    return "; ".join(value for key, value in server.state.said if key == "depth_progress")
+
+
+def test_depth_is_found_by_a_button_and_added_to_the_run(tmp_path: Path, camera: Callable[..., Scene]) -> None:
+    """What it adds is what the command adds."""
+    plane = {"shape": {"kind": "plane", "width_mm": 400.0, "height_mm": 400.0}, "position_mm": (0.0, 0.0, -420.0)}
+    material = {"reflectance": 0.0, "radiance_w_m2_sr": 1.0, "texture": asset_path("charts/siemens.png").as_posix()}
+    scene = camera().changed({"targets": [plane | {"material": material}], "transport.split": "transmit"})
+    for name in ("page", "command"):
+        run.save(lf.render(scene), tmp_path / name)
+    server, panel = opened(tmp_path / "page")
+    said = wait_for(server, "find_depth")
+    assert server.state.fault == ""
+    assert "depth: plane " in said or "true depth: view " in said
+    assert server.state.depth_src
+    assert server.state.depth_note
+    assert main(["depth", str(tmp_path / "command")]) == 0
+    for name in ("depth.exr", "depth_views.exr", "depth_pixels.exr"):
+        found, expected = (exr.read_map(tmp_path / folder / name, ("Z",)) for folder in ("page", "command"))
+        np.testing.assert_array_equal(found, expected)
+    assert (tmp_path / "page" / "depth.png").is_file()
+    panel.close()
+
+
+def test_a_depth_that_cannot_be_found_says_why(
+    tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
+) -> None:
+    scene = camera()
+    columns, rows = scene.camera.sensor.pixels
+    run.save(image_of(scene, np.zeros((rows, columns))), tmp_path / "run")
+    server, panel = opened(tmp_path / "run")
+    wait_for(server, "find_depth")
+    assert "views" in server.state.fault
+    assert not server.state.depth_src
+    panel.close()
+
+
+def test_a_job_of_a_closed_page_ends_at_its_next_message() -> None:
+    server, told, ended = Server(), list[str](), threading.Event()
+    background = Background(server, Replies(server))
+
+    def job(say: Callable[[str], None]) -> None:
+        try:
+            while True:
+                say("still at it")
+                time.sleep(0.01)
+        finally:
+            ended.set()
+
+    async def close() -> None:
+        background.begin(job, told.append, lambda _: told.append("finished"))
+        await asyncio.sleep(0.05)
+        background.close()
+        await asyncio.to_thread(ended.wait, 10.0)
+
+    asyncio.run(close())
+    assert ended.is_set()
+    assert told
+    assert "finished" not in told

@@ -74,6 +74,7 @@ class Page:
         if self._sending is not None:
             self._sending.cancel()
         self.light_field.close()
+        self.rays.close()
         self._view.plotter.close()
 
     def _lay_out(self, server: Any) -> None:

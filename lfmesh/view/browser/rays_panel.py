@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.scene.literals import counted
 from lfmesh.transport.world import World
-from lfmesh.view.browser.ghost_rows import GHOST_HEADS, ghost_cells
+from lfmesh.view.browser.ghosts_panel import GhostsPanel
 from lfmesh.view.browser.replies import Replies
-from lfmesh.view.pictures import figure_url
 from lfmesh.view.rays import launch
-from lfmesh.view.rays.exact_ghosts import ExactGhosts, exact_of, origin_in_words
 from lfmesh.view.rays.filters import FilterError, parse
-from lfmesh.view.rays.ghosts import GHOST_CUTOFF, GHOST_RAYS, ghost_matrix
+from lfmesh.view.rays.ghosts import GHOST_CUTOFF, GHOST_RAYS
 from lfmesh.view.rays.history import Step, history
 from lfmesh.view.rays.path_table import PathRow, PathTable, path_table, relative_error, short_form
 from lfmesh.view.request import REFRACTED, first_points, middle_pixel, pixels_on_array, why_dark
@@ -88,7 +86,7 @@ class RaysPanel:
         self._drawn: Rays | None = None
         self._kept: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._table: PathTable | None = None
-        self._exact: ExactGhosts | None = None
+        self._ghosts = GhostsPanel(server, replies, self._tabulate)
         self._state.update(_first_state(view.world, view.presets))
         for name, answer in (
             ("launch", self._launch),
@@ -108,6 +106,10 @@ class RaysPanel:
         replies.on_change(["sort"], self._tabulate)
         replies.on_change(["side"], self._show_ghosts)
         self._show(rays, self._said_in_the_form(rays))
+
+    def close(self) -> None:
+        """Stop what is still being computed for the page."""
+        self._ghosts.close()
 
     def _said_in_the_form(self, rays: "Rays | None") -> str:
         """Set the form from given rays as far as possible; return their launch in words."""
@@ -193,7 +195,8 @@ class RaysPanel:
 
     def _show(self, rays: "Rays | None", whence: str = "") -> None:
         """Show new rays with the filter if it fits; `whence` is their source in words."""
-        self._rays, self._whence, self._exact = rays, whence, None
+        self._rays, self._whence = rays, whence
+        self._ghosts.forget()
         self._state.chosen = None
         self._forget_pick()
         if rays is None:
@@ -227,7 +230,7 @@ class RaysPanel:
         """Fill the path table."""
         if self._rays is None:
             return
-        self._table = path_table(self._rays, self._exact).filtered(self._kept).sorted(self._state.sort)
+        self._table = path_table(self._rays, self._ghosts.exact).filtered(self._kept).sorted(self._state.sort)
         self._state.rows = [_row(row) for row in self._table.rows[:MOST_ROWS]]
         unit = self._rays.unit
         self._state.heads = [[name, head.format(unit=unit)] for name, head in HEADS.items()]
@@ -336,25 +339,9 @@ class RaysPanel:
         self._state.update({"picked": "Nothing picked", "picked_note": "", "picked_rows": [], "picked_at": -1})
 
     def _show_ghosts(self) -> None:
-        """Draw the ghosts by pair of surfaces when their tab is open."""
-        if self._state.side != "ghosts" or self._rays is None:
-            return
-        state, rays = self._state, self._rays
-        state.update({"ghosts_src": "", "ghosts_note": "", "ghost_rows": []})
-        if self._exact is None:
-            # This takes seconds, so only do it for an open ghost tab.
-            self._exact = exact_of(rays)
-            self._tabulate()
-        whole = bool(self._kept.all())
-        matrix = ghost_matrix(rays.keep(self._kept), self._exact if whole else None)
-        try:
-            state.ghosts_src = figure_url(matrix.figure())
-        except LfmeshError as none:
-            state.ghosts_note = str(none)
-            return
-        state.ghost_heads = [head.format(unit=rays.unit) for head in GHOST_HEADS]
-        state.ghost_rows = [ghost_cells(pair) for pair in matrix.pairs()[:MOST_ROWS]]
-        state.ghosts_note = origin_in_words(rays, is_whole=whole)
+        """Show the ghosts when their tab is open."""
+        if self._state.side == "ghosts" and self._rays is not None:
+            self._ghosts.show(self._rays, self._kept)
 
 
 def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
@@ -392,10 +379,6 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
         "chosen": None,
         "kept": "",
         "table_note": "",
-        "ghosts_src": "",
-        "ghosts_note": "",
-        "ghost_heads": [],
-        "ghost_rows": [],
         "picked": "",
         "picked_note": "",
         "picked_heads": [],

@@ -399,7 +399,7 @@ def test_a_filter_and_a_form_count_as_they_were_when_the_button_was_pressed(fres
 
 def test_ghosts_are_those_of_the_sequences(fresh: Page, run: Path) -> None:
     fresh.tab.click("#side-ghosts")
-    fresh.tab.wait_for_selector("#ghost-table tbody tr")
+    fresh.wait("document.querySelector('#ghosts-note')?.innerText.startsWith('Origin quadrature')")
     fresh.settle()
     rows = [row.split("\t") for row in fresh.tab.locator("#ghost-table tbody tr").all_inner_texts()]
     point = [float(fresh.tab.input_value(f"#point-{axis}")) for axis in "xyz"]
@@ -410,7 +410,10 @@ def test_ghosts_are_those_of_the_sequences(fresh: Page, run: Path) -> None:
         assert cells[4].startswith("quadrature")
         assert float(cells[1]) == pytest.approx(row.power, rel=0.02), "rays through several lenslets are added"
     assert any(cells[4].startswith("quadrature") and "MLA" in cells[0] for cells in rows)
-    assert "quadrature" in fresh.text("#ghosts-note")
+    fresh.tab.click("#ghosts")
+    fresh.tab.wait_for_selector("#ghosts-full img[src^=data]")
+    fresh.tab.click("#ghosts-full")
+    fresh.tab.wait_for_selector("#ghosts-full", state="detached")
     fresh.tab.click("#side-paths")
     image = fresh.tab.locator("#paths tbody tr", has_text="image path").first.locator("td")
     assert image.nth(5).inner_text() == "", "no standard error"
@@ -481,6 +484,14 @@ def test_parallax_goes_through_the_views_until_it_is_stopped(page: Page) -> None
         shown.add(page.tab.get_attribute("#view", "src"))
     page.tab.click("#parallax")
     page.wait("document.querySelector('#view').src === old", still)
+
+
+def test_depth_is_found_by_a_button(page: Page, run: Path) -> None:
+    page.tab.click("#tab-field")
+    page.tab.click("#find-depth")
+    page.tab.wait_for_selector("#depth[src^=data]")
+    assert (run / "depth.exr").is_file()
+    assert page.tab.locator("#fault").count() == 0
 
 
 def test_each_page_has_its_own_camera_rays_filter_and_history(fresh: Page, browser: Any, server: Server) -> None:

@@ -1,6 +1,8 @@
 """The ray controls of the page without a browser: where they begin, and what they answer."""
 
+import asyncio
 from collections.abc import Callable
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,9 +11,11 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.scene import loads
+from lfmesh.view.browser.ghost_cells import ghost_picture
 from lfmesh.view.browser.rays_panel import RaysPanel
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.rays import launch
+from lfmesh.view.rays.ghosts import GhostMatrix, ghost_matrix
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.request import launched
 from lfmesh.view.scene3d.plotter import View
@@ -82,3 +86,70 @@ def test_the_caption_says_whether_ghosts_are_among_the_rays(panels: Any, world: 
     assert ("no ghosts" in server.state.drawn) == (split == "transmit")
     words = launched(world, split=split).caption[0]
     assert ("no ghosts" in words) == (split == "transmit")
+
+
+def with_ghosts(server: Server) -> tuple[set[str], str]:
+    """Open the tab of ghosts and wait for its integrals; return origins and note of what is shown until then."""
+
+    async def open_tab() -> tuple[set[str], str]:
+        server.state.side = "ghosts"
+        server.answers["filter"]("")
+        before = {row[4] for row in server.state.ghost_rows}, server.state.ghosts_note
+        await asyncio.sleep(0.01)
+        while server.state.ghosts_progress:
+            await asyncio.sleep(0.05)
+        return before
+
+    return asyncio.run(open_tab())
+
+
+def test_ghosts_are_those_of_the_rays_until_they_are_integrated(panels: Any, split_rays: Rays) -> None:
+    server, panel = panels(split_rays.world, split_rays)
+    origins, note = with_ghosts(server)
+    assert origins == {"rays"}
+    assert "until" in note
+    assert any("Integrating" in value for name, value in server.state.said if name == "ghosts_progress")
+    assert any(row[4].startswith("quadrature") for row in server.state.ghost_rows)
+    assert server.state.ghosts_note.startswith("Origin quadrature")
+    assert server.state.fault == ""
+    image = next(row for row in server.state.rows if row["short"] == "image path")
+    assert image["error"] == "", "the path table has the integrals too"
+    server.answers["filter"]("ghost")
+    assert {row[4] for row in server.state.ghost_rows} == {"rays"}
+    assert "filter" in server.state.ghosts_note
+    panel.close()
+
+
+def test_targets_in_the_way_of_ghosts_are_named(panels: Any, scene: lf.Scene) -> None:
+    half = loads(SCENE.replace("[[lights]]", WALL + "[[lights]]")).changed({"targets[1].position_mm[0]": 31.0})
+    for world, z, words in (
+        (lf.build(half), -190.0, "(wall) shades part of the lens"),
+        (lf.build(scene), -420.0, "stands in the way"),
+    ):
+        server, panel = panels(world, launch.from_field_point(world, [0.0, 0.0, z], 40, split="both"))
+        with_ghosts(server)
+        assert words in server.state.ghosts_note
+        panel.close()
+
+
+@pytest.mark.parametrize("count", [0, 40])
+def test_labels_of_the_ghost_picture_are_legible(split_rays: Rays, count: int) -> None:
+    """In the panel a point of the picture is about a pixel."""
+    matrix = ghost_matrix(split_rays)
+    if count:
+        labels = [f"L{number}a" for number in range(count)]
+        power = np.tril(np.random.default_rng(2).uniform(1e-6, 1e-3, (count, count)))
+        none = np.zeros_like(power)
+        matrix = GhostMatrix(labels, labels, power, 1.0, "W", "from 10 rays", none, none, none)
+    figure = ghost_picture(matrix)
+    figure.draw_without_rendering()
+    axes, bar = figure.axes
+    for ticks, side in ((axes.get_xticklabels(), 0), (axes.get_yticklabels(), 1)):
+        assert len(ticks) > 5
+        assert min(tick.get_fontsize() for tick in ticks) >= 8.0
+        boxes = sorted((tick.get_window_extent().get_points() for tick in ticks), key=lambda box: box[0][side])
+        assert all(a[1][side] <= b[0][side] for a, b in pairwise(boxes))
+    assert not axes.texts, "numbers are in the table"
+    title = axes.title if axes.get_title() else axes._left_title
+    assert title.get_window_extent().x1 <= figure.bbox.x1
+    assert bar.get_ylabel()

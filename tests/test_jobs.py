@@ -42,7 +42,8 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> Words:
         with notebook.job():
             yield lambda now: words.append(f"{now.stage}: {now.done} of {now.total}")
 
-    monkeypatch.setattr(sys, "stderr", Terminal())
+    # pytest sets `sys.stderr` again before each phase of a test.
+    monkeypatch.setattr(notebook, "sys", SimpleNamespace(stderr=Terminal(), modules=sys.modules))
     monkeypatch.setitem(notebook._shown_by, "progress", lambda: SimpleNamespace(status=status, progress=progress))
     return words
 
@@ -140,6 +141,6 @@ def test_they_show_nothing_without_somebody_who_watches(shown: Words, monkeypatc
     shown.clear()
     rows, image = volumes()
     lf.reconstruct(rows, image, "sart", say=False)
-    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    monkeypatch.setattr(notebook, "sys", SimpleNamespace(stderr=io.StringIO(), modules=sys.modules))
     reconstructed("sart")
     assert shown == []

@@ -39,7 +39,7 @@ DIMENSIONLESS = {
     "geometry/surfaces/surface.py": {"SETTLED"},
     "geometry/objects/round_faces.py": {"MARGIN"},
     "geometry/objects/targets.py": {"FLAT"},
-    "geometry/array/lenslets.py": {"DEPTH_WITHIN"},
+    "geometry/array/lenslets.py": {"DEPTH_WITHIN", "FLAT_LAYER"},
     "geometry/surfaces/bends.py": {"BEFORE_END", "HEIGHT_WITHIN"},
     "optics/bounds.py": {"ROUNDING"},
     "geometry/surfaces/edges.py": {"ROUNDING_OF_COORDINATES"},

@@ -94,7 +94,7 @@ class _Diffractive:
 
     @property
     def has_effect(self) -> bool:
-        """Whether it is more than commands of value 0 without `DIF`."""
+        """True unless all there is are commands of value 0 without `DIF`."""
         return bool(self.kind or self.terms) or any(may_matter(word) for *_, word in self.words.values())
 
     def word(self, command: str, default: str) -> str:

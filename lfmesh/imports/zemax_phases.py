@@ -142,7 +142,7 @@ class PhaseLines:
 
     @property
     def _reaches_beyond(self) -> bool:
-        """Whether the surface extends beyond the normalisation radius."""
+        """True if the surface extends beyond the normalisation radius."""
         size = self.surface.aperture or self.surface.extent
         return self.surface.phase is not None and size is not None and size > self.radius
 

@@ -254,22 +254,27 @@ def _polynomial_on_axis(profile: GradientProfile, z: Array) -> tuple[Array, Arra
     first, second, _ = profile.counts
     if profile.kind == REVOLVED:
         table = profile.numbers.reshape(first, second)
-        across = 2.0 * polynomial.polyval(z, table[1]) if first > 1 else np.zeros_like(z)
-        return polynomial.polyval(z, table[0]), polynomial.polyval(z, polynomial.polyder(table[0])), across, across
+        across = np.asarray(2.0 * polynomial.polyval(z, table[1]) if first > 1 else np.zeros_like(z), np.float64)
+        return _valued(table[0], z), _valued(polynomial.polyder(table[0]), z), across, across
     if profile.kind == SPHERICAL:
         radius, coefficients = profile.numbers[0], profile.numbers[1:]
         sign = copysign(1.0, radius)
         from_centre = np.abs(radius - z)
         t = radius - sign * from_centre
-        rate = polynomial.polyval(t, polynomial.polyder(coefficients))
+        rate = _valued(polynomial.polyder(coefficients), t)
         across = -sign * rate / from_centre
-        return polynomial.polyval(t, coefficients), sign * rate * np.sign(radius - z), across, across
+        return _valued(coefficients, t), sign * rate * np.sign(radius - z), across, across
     of_x, of_y, of_z = np.split(profile.numbers, [first, first + second])
     along = of_z if len(of_z) else np.zeros(1)
-    value = polynomial.polyval(z, along) + of_x[:1].sum() + of_y[:1].sum()
-    by_z = polynomial.polyval(z, polynomial.polyder(along))
+    value = _valued(along, z) + of_x[:1].sum() + of_y[:1].sum()
+    by_z = _valued(polynomial.polyder(along), z)
     xx, yy = (np.full_like(z, 2.0 * each[2:3].sum()) for each in (of_x, of_y))
     return value, by_z, xx, yy
+
+
+def _valued(coefficients: ArrayLike, x: Array) -> Array:
+    """Return the value of a polynomial, lowest power first."""
+    return np.asarray(polynomial.polyval(x, np.asarray(coefficients, np.float64)), np.float64)
 
 
 def _squared(profile: GradientProfile, value: Array) -> tuple[Array, Array]:

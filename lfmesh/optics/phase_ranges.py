@@ -82,8 +82,8 @@ def _bends(profile: PhaseProfile, x: Range, y: Range) -> list[Range]:
     units = scale, scale, scale * scale, scale * scale, scale * scale
     s, t = scaled(scale, x), scaled(scale, y)
     if profile.kind in (RADIAL, METALENS):
-        ((factor, *shape),) = _revolved(profile)
-        _, *parts = revolved_bends(*shape, s, t)
+        ((factor, curvature, conic, powers),) = _revolved(profile)
+        _, *parts = revolved_bends(curvature, conic, powers, s, t)
     else:
         factor, parts = 1.0, _polynomial_bends(profile, s, t)
     return [scaled(factor * unit, part) for unit, part in zip(units, parts, strict=True)]

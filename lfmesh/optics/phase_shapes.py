@@ -54,7 +54,7 @@ def radial_profile(coefficients_rad: Sequence[float], radius_mm: float) -> Phase
 
 def xy_profile(terms: Sequence[tuple[int, int, float]], radius_mm: float) -> PhaseProfile:
     """Return the phase Σ A (x/R)^i (y/R)^j of terms (i, j, A), A in rad."""
-    shape = tuple(1 + max((term[k] for term in terms), default=0) for k in (0, 1))
+    shape = 1 + max((term[0] for term in terms), default=0), 1 + max((term[1] for term in terms), default=0)
     table = np.zeros(shape)
     for i, j, coefficient in terms:
         table[i, j] += coefficient
@@ -166,7 +166,8 @@ def vertex_derivatives(profile: PhaseProfile) -> tuple[float, float, float, floa
         low = numbers[SHAPE:].reshape(nx, ny)[:3, :3]
         table[: low.shape[0], : low.shape[1]] = low
         x, y, xx, xy, yy = table[1, 0], table[0, 1], 2.0 * table[2, 0], table[1, 1], 2.0 * table[0, 2]
-        return float(scale * x), float(scale * y), *(float(scale**2 * each) for each in (xx, xy, yy))
+        scale2 = scale**2
+        return float(scale * x), float(scale * y), float(scale2 * xx), float(scale2 * xy), float(scale2 * yy)
     if profile.kind == GRATING:
         return float(numbers[0]), float(numbers[1]), 0.0, 0.0, 0.0
     if profile.kind == METALENS:

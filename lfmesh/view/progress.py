@@ -149,7 +149,8 @@ def _cell_line(wait_seconds: float) -> Iterator[Callable[[str], None]]:
 
     from lfmesh.files.words import duration
 
-    begun, said_at, handle = time.perf_counter(), -CELL_SECONDS, None
+    begun, said_at = time.perf_counter(), -CELL_SECONDS
+    handle: Any = None
 
     def say(words: str) -> None:
         nonlocal said_at, handle

@@ -16,7 +16,7 @@ from lfmesh.errors import LfmeshError
 from tests.validation.phase_truth import Face, through_faces
 from tests.validation.test_phase_surfaces import GAP, NM, PHASES, SHAPES, THICKNESS, camera, rays
 
-FEW_ROUNDINGS_MM = 2e-13
+FEW_ROUNDINGS_MM = 5e-13
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -54,7 +54,7 @@ BLAZED = {"kind": "radial", "coefficients_rad": [-9.0, 1.5], "radius_mm": 0.06, 
         {"curved_phase": TILTED, "form": {"decenter_mm": 0.003, "radius_error": 0.05, "seed": 2}},
         {"flat_phase": BLAZED | {"design_nm": 550.0}, "layout": "hexagonal"},
         {"focal_length_mm": None, "curved_phase": METALENS},
-        {"focal_length_mm": None, "flat_phase": METALENS, "layout": "hexagonal", "pose": TURNED},
+        {"focal_length_mm": None, "curved_phase": METALENS, "layout": "hexagonal", "pose": TURNED},
         {"curved_phase": BLAZED | {"design_nm": 550.0}, "conic": -1.0, "flat_phase": TILTED},
     ],
     ids=["a phase on bad lenslets", "a blaze behind them", "metalenses", "turned metalenses", "both faces"],

@@ -235,5 +235,5 @@ def test_pictures_of_particles_refuse_faces_with_several_orders() -> None:
                            "bounds": {"kind": "sphere", "radius_mm": 0.1}}],
         }
     )  # fmt: skip
-    with pytest.raises(lf.LfmeshError, match=r"surfaces\[1\].phase has several orders"):
+    with pytest.raises(lf.LfmeshError, match=r"surfaces\[1\] has a phase with several orders"):
         lf.render(scene)

@@ -217,5 +217,5 @@ def metalens_lenslets() -> Outcome:
     phase = MetalensPhase(focal_length_mm=0.1125, design_nm=PRIMARY_NM)
     order = only_order(phase, PRIMARY_NM, None, 1.46, "curved_phase")
     plate = Plate(True, 0.125, 65, 65, np.inf, 0.3, 1.46, 0.3, order=order)
-    o, d = _cone(20_000, 3.5, 0.5)
+    o, d = _cone(20_000, 3.3, 0.5)
     return _array(plate, o, d, tolerance=1e-10, relative=1e-10)

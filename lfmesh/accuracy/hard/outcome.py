@@ -122,7 +122,7 @@ def faces_of(scene: Scene) -> list[Interface]:
         Interface(
             s.vertex_radius_mm, z, s.index or 1.0, s.vertex_conic, s.terms_mm, 1.01 * (s.semi_diameter_mm or 10.0),
             s.focal_length_mm or np.inf, s.odd_asphere_mm, _across(s),
-            only_order(s.phase, scene.primary_nm, *lens.media[k : k + 2], f"camera.lens.surfaces[{k}].phase"),
+            only_order(s.phase, scene.primary_nm, lens.media[k], lens.media[k + 1], f"camera.lens.surfaces[{k}].phase"),
         )
         for k, (s, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True))
         if not lens.is_pure_stop(k)
@@ -265,18 +265,19 @@ def on_sensor(
         Of the landing points.
     stopped : (n,) bool, optional
         Rays that an aperture must stop; the others must all reach the sensor's plane. A ray with a NaN truth is totally
-        reflected and may end anywhere, but must not be lost.
+        reflected and may end anywhere, but must not be lost; or it is evanescent and leaves no packet.
     relative : float
         Tolerance of the weights.
     """
     count = len(truth)
-    kept = np.ones(count, dtype=bool) if stopped is None else ~stopped
-    if len(paths) != count:
+    known = np.asarray(np.isfinite(truth).all(axis=1))
+    missing = np.bincount(paths.source, minlength=count) == 0
+    if len(paths) + int(missing.sum()) != count or (missing & known).any():
         return outcome(paths, f"{count} packets", f"{len(paths)} packets", False)
+    truth, weight, known = truth[paths.source], weight[paths.source], known[paths.source]
+    kept = known if stopped is None else known & ~stopped[paths.source]
     arrived = (paths.status == Status.SENSOR) | (np.array(paths.body) == "beside the sensor")
     lost = paths.status == Status.LOST
-    known = np.isfinite(truth).all(axis=1)
-    kept &= known
     wrong = int(((arrived != kept) & known & ~lost).sum())
     # Beside the sensor, a ray may land so far out that rounding shows.
     both = (paths.status == Status.SENSOR) & kept

@@ -249,7 +249,7 @@ def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLi
     n_i = first_index
     for face in interfaces:
         at = face.meet(p, d)
-        change = None if face.order is None else face.order.change(at)
+        change = None if face.order is None else np.asarray(face.order.change(at), np.float64)
         d, share = refracted(d, face.normal(at), n_i, face.index, change)
         if face.order is not None:
             share = share * face.order.share

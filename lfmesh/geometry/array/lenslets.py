@@ -35,9 +35,12 @@ SUBDIVISIONS = 6
 DEPTH_WITHIN = 1e-6
 """Largest relative excess of the depth bounds of an aspheric face."""
 
-FLAT_LAYER, FLAT_SHARE = 1e-3, 1e-2
-"""Half the thickness of the layer about a flat face: in pitches, and at most in thicknesses of the plate. The borders
-of a layer must not lie on its face, or rounding would decide which of the two a ray meets first."""
+FLAT_LAYER = 1e-3
+"""Half the thickness of the layer about a flat face, in pitches. The borders of a layer must not lie on its face, or
+rounding would decide which of the two a ray meets first."""
+
+FLAT_SHARE = 0.01
+"""Largest half thickness of that layer, in thicknesses of the plate."""
 
 
 @by_address

@@ -123,7 +123,7 @@ def _photographs(
     note = range_warning(field, distances_mm)
     if note:
         warnings.warn(note, stacklevel=3)
-    photographs = []
+    photographs: list[Photograph] = []
     for distance, shift in zip(distances_mm, shifts, strict=True):
         say(f"photograph {len(photographs) + 1} of {len(shifts)}")
         mean, stderr, coverage = _shifted_sum(field, shift, shares, sharp=method == "fourier")

@@ -47,7 +47,7 @@ def ghost_picture(matrix: GhostMatrix) -> "Figure":
     axes.set_xticks(range(0, len(labels), across), labels[::across], rotation=turned, **letters)
     axes.set_yticks(range(0, len(labels), down), labels[::down], **letters)
     for axis in (axes.xaxis, axes.yaxis, bar.yaxis):
-        axis.label.set_size(LETTERS_PT)
+        axis.label.set_fontsize(LETTERS_PT)
     bar.tick_params(labelsize=LETTERS_PT)
     bar.set_ylabel("share / %")
     return figure

@@ -143,9 +143,9 @@ class RaysPanel:
         state, world = self._state, self._view.world
         state.update({name: value for name, value in form.items() if name in FORM})
         if state.launch == "point":
-            point = [_number(state[f"point_{axis}"], f"{axis} / mm") for axis in "xyz"]
+            x, y, z = point = [_number(state[f"point_{axis}"], f"{axis} / mm") for axis in "xyz"]
             rays = launch.from_field_point(world, point, self._count(), **self._options())
-            self._show(rays, "from x = {:zg}, y = {:zg}, z = {:zg} mm".format(*point))
+            self._show(rays, f"from x = {x:zg}, y = {y:zg}, z = {z:zg} mm")
         elif state.launch == "light":
             number = round(_number(state.light, "light"))
             self._show(launch.from_light(world, number, self._count(), **self._options()), f"from lights[{number}]")

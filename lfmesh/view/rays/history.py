@@ -345,7 +345,7 @@ def _steepness_on_array(rays: Rays, vertex: int, name: str, phase: AnyPhase) -> 
     lenslets = face.lenslets
     p = frames.points(moves[WORLD_FRAME, face.frame], rays.position[vertex][None])[0]
     if name == FLAT:
-        apex = centre(lenslets.lattice, *cell_of(lenslets.lattice, p[0], p[1]))
+        apex = np.array(centre(lenslets.lattice, *cell_of(lenslets.lattice, p[0], p[1])))
     else:
         row, column = divmod(int(rays.lenslet[vertex]), lenslets.lattice.columns)
         _, ex, ey = shape_of(lenslets, column, row)

@@ -24,6 +24,7 @@ from lfmesh.transport.checks.aim_proof import (
 from lfmesh.transport.checks.found import proofs
 from lfmesh.transport.sequences import stop_rays
 from lfmesh.transport.sequences.stop_rays import CameraTables, rays_from_stop, reach_of
+from lfmesh.transport.tables.phase_faces import has_orders
 from lfmesh.transport.tables.tables import AimTables, LensAim, LensletAim
 from tests.instances import instances
 from tests.renders import of_world
@@ -48,6 +49,9 @@ def missed(world: lf.World, aim: AimTables, seed: int = 99) -> tuple[float, floa
 def test_the_aim_of_a_random_camera_holds_all_light(seed: int, random_camera: RandomCamera) -> None:
     """By rays other than those to which it was fitted; a factor of two for their number."""
     world = lf.build(random_camera(seed))
+    if has_orders(world.scene):
+        assert world.aim_proof is None  # Rays go anywhere.
+        return
     assert world.aim_proof is not None
     assert world.aim_proof.holds, world.aim_proof
     assert max(missed(world, world.aim)) <= 2.0 * ALLOWED
@@ -61,6 +65,9 @@ UNDECIDED = (24, 33, 55, 129, 139, 145, 179, 193, 243)
 @pytest.mark.parametrize("seed", sorted({*range(12, 300)} - {*UNDECIDED}))
 def test_the_aim_of_many_random_cameras_holds_all_light(seed: int, random_camera: RandomCamera) -> None:
     world = lf.build(random_camera(seed))
+    if has_orders(world.scene):
+        assert world.aim_proof is None  # Rays go anywhere.
+        return
     assert world.aim_proof is not None
     assert world.aim_proof.holds, world.aim_proof
     assert max(missed(world, world.aim)) <= 2.0 * ALLOWED

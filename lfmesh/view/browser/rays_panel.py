@@ -143,14 +143,14 @@ class RaysPanel:
         state, world = self._state, self._view.world
         state.update({name: value for name, value in form.items() if name in FORM})
         if state.launch == "point":
-            x, y, z = point = [_number(state[f"point_{axis}"], f"{axis} / mm") for axis in "xyz"]
+            x, y, z = point = [_number(getattr(state, f"point_{axis}"), f"{axis} / mm") for axis in "xyz"]
             rays = launch.from_field_point(world, point, self._count(), **self._options())
             self._show(rays, f"from x = {x:zg}, y = {y:zg}, z = {z:zg} mm")
         elif state.launch == "light":
             number = round(_number(state.light, "light"))
             self._show(launch.from_light(world, number, self._count(), **self._options()), f"from lights[{number}]")
         elif state.launch == "pixel":
-            row, column = (round(_number(state[name], name)) for name in ("row", "column"))
+            row, column = (round(_number(getattr(state, name), name)) for name in ("row", "column"))
             self._from_pixels(range(row, row + 1), range(column, column + 1))
         else:
             self._show(launch.as_in_run(world, self._count(), **self._options()), "as in a run")

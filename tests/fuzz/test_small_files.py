@@ -309,8 +309,8 @@ BINARIES: dict[str, Callable[[], Kind]] = {
 }
 
 
-PHASES = ("phases zmx", "phases seq", "phases optiland")
-WITH_SCENES = ("study", "filling study", "dataset", "design", "lens", "zmx", "seq", "crowded zmx", *PHASES)
+PHASE_FILES = ("phases zmx", "phases seq", "phases optiland")
+WITH_SCENES = ("study", "filling study", "dataset", "design", "lens", "zmx", "seq", "crowded zmx", *PHASE_FILES)
 """What names a scene, or is part of one: all faults are said at once."""
 
 

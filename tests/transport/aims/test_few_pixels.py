@@ -108,7 +108,7 @@ def test_few_pixels_have_the_light_of_the_mesh_engine_and_errors_of_the_size_of_
 @pytest.mark.parametrize("seed", instances(range(6), long=[3, 4, 5]))
 def test_every_lenslet_that_shows_the_opening_to_a_point_of_a_pixel_is_listed(seed: int, tilt_deg: float) -> None:
     """By the condition of a single point, for points all over a pixel, its corners among them."""
-    of = draw("camera", seed, (*LEFT_OUT, "cover", "tilted_sensor")).scene
+    of = draw("camera", seed, (*LEFT_OUT, "cover", "tilted_sensor", "phase_on_the_lens", "phase_on_the_array")).scene
     assert of.camera.mla is not None
     pixel = of.camera.mla.pitch_mm / 1.7
     world = lf.build(

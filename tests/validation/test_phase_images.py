@@ -92,7 +92,7 @@ def test_a_pixel_sees_the_light_that_passes_before_it_is_turned() -> None:
                 "rotation_deg": [0.0, -angle, 0.0], "material": glow,
             },
         ],
-        transport={"split": "transmit", "samples": 256, "threads": 1},
+        transport={"split": "transmit", "samples": 512, "threads": 1},
     )  # fmt: skip
     cos_i, cos_t = np.sqrt(1.0 - step**2), np.sqrt(1.0 - (step / 1.5) ** 2)
     r_s, r_p = ((a - b) / (a + b) for a, b in ((cos_i, 1.5 * cos_t), (1.5 * cos_i, cos_t)))

@@ -20,10 +20,16 @@ class Terminal(io.StringIO):
 
 
 @pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
-    """Standard error as a terminal."""
-    shown = Terminal()
-    monkeypatch.setattr(sys, "stderr", shown)
+def terminal(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Terminal:
+    """Standard error as a terminal, from the test's first line on: pytest sets it anew after its fixtures."""
+    shown, test = Terminal(), request.node.obj
+
+    def at_terminal(**arguments: Any) -> None:
+        with monkeypatch.context() as during:
+            during.setattr(sys, "stderr", shown)
+            test(**arguments)
+
+    monkeypatch.setattr(request.node, "obj", at_terminal)
     monkeypatch.setenv("TERM", "xterm")
     return shown
 

@@ -24,7 +24,6 @@ from lfmesh.scene.first_order.solve import (
 from lfmesh.transport.build import build
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.world import World
-from lfmesh.view.layout.media_sections import MediumSection, media_sections
 from lfmesh.view.layout.sections import (
     Cut,
     Diffractive,
@@ -166,7 +165,6 @@ class Layout:
     cover : (4, 2) float64 or None
         Section of the sensor's cover, drawn as wide as the sensor.
     targets : list of TargetSection
-    media : list of MediumSection
     detail : Detail
     """
 
@@ -182,7 +180,6 @@ class Layout:
     sensor: Array
     cover: Array | None
     targets: list[TargetSection]
-    media: list[MediumSection]
     detail: Detail
 
 
@@ -221,7 +218,6 @@ def layout(scene: Scene) -> Layout:
         _sensor_section(drawn, moves),
         _cover_section(drawn, moves),
         _target_sections(drawn, moves),
-        media_sections(drawn.changed(unpolarised)),
         _detail(drawn, facts, world, aim),
     )
 

@@ -31,7 +31,6 @@ class Overlay:
         self._plotter = plotter
         self._texts: list[vtkTextActor] = []
         self._told: list[vtkTextActor] = []
-        self._names: list[vtkTextActor] = []
         self._mark = vtkTextActor()
         self._scale = plotter.window_size[1] / 1000.0
         self._bar, self.bar_text, self.bar_points = self._scale_bar()
@@ -64,7 +63,7 @@ class Overlay:
 
     def only_scale(self, on: bool) -> None:
         """Show only the scale bar, enlarged, or everything again."""
-        for text in (*self._texts, *self._told, *self._names):
+        for text in (*self._texts, *self._told):
             text.SetVisibility(not on)
         self.bar_text.GetTextProperty().SetFontSize(round((2.4 if on else 1.0) * 15 * self._scale))
         (self._plotter.hide_axes if on else self._plotter.show_axes)()
@@ -74,17 +73,12 @@ class Overlay:
         self.unmark()
         self._mark = self._text(words, 20 if place_mm is not None else 36, (0.015, 0.985), TEXT, top=True)
         if place_mm is not None:
-            _put(self._mark, place_mm)
+            self._mark.GetPositionCoordinate().SetCoordinateSystemToWorld()
+            self._mark.GetPositionCoordinate().SetValue(*place_mm)
 
     def unmark(self) -> None:
         """Remove the text of `mark`."""
         self._plotter.renderer.RemoveViewProp(self._mark)
-
-    def name(self, words: str, place_mm: NDArray[np.float64]) -> None:
-        """Write a name above a point of the scene, world frame, for good."""
-        text = self._text(words, 15, (0.0, 0.0), TEXT)
-        _put(text, place_mm)
-        self._names.append(text)
 
     def tell(self, lines: list[str]) -> None:
         """Replace the text at the bottom."""
@@ -160,12 +154,6 @@ class Overlay:
         self.bar_points.Modified()
         place = "" if camera.parallel_projection else " at the middle of the view"
         self.bar_text.SetInput(f"{in_words(length)}{place}")
-
-
-def _put(text: vtkTextActor, place_mm: NDArray[np.float64]) -> None:
-    """Place a text at a point of the scene, world frame."""
-    text.GetPositionCoordinate().SetCoordinateSystemToWorld()
-    text.GetPositionCoordinate().SetValue(*place_mm)
 
 
 def in_words(length_mm: float) -> str:

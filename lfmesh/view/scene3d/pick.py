@@ -63,8 +63,7 @@ Picked = PickedRay | PickedPixel | PickedPart | None
 def pick(view: View, x: float, y: float) -> Picked:
     """Return the target of a click: the ray under it, else the nearest part.
 
-    The sensor is visible through the array, so where both are hit, the pixel is picked. Everything is visible through
-    media, so one is picked only if nothing else is hit.
+    The sensor is visible through the array, so where both are hit, the pixel is picked.
 
     Parameters
     ----------
@@ -84,7 +83,7 @@ def pick(view: View, x: float, y: float) -> Picked:
                 hits.append((distance, part))
     if not hits:
         return None
-    nearest = min(hits, key=lambda hit: (hit[1].kind == "medium", hit[0]))[1]
+    nearest = min(hits, key=lambda hit: hit[0])[1]
     if nearest.kind in ("array", "sensor") and (pixel := pixel_at(view, x, y)):
         return pixel
     return PickedPart(nearest.name, nearest.kind)

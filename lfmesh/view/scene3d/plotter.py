@@ -11,7 +11,6 @@ from vtkmodules.vtkRenderingCore import vtkMapper, vtkProp
 from lfmesh.geometry import frame as frames
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
-from lfmesh.view.media import shown_media
 from lfmesh.view.scene3d.array_shape import FINE, Detail
 from lfmesh.view.scene3d.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend, default_colour
 from lfmesh.view.scene3d.gl import expect_no_display
@@ -36,9 +35,6 @@ CORNER = 0.8
 
 SAMPLES = 8
 """Samples per pixel in pictures."""
-
-MOST_NAMED = 6
-"""Most media in the caption."""
 
 CUT_KINDS = ("glass", "mount", "stop", "array")
 """Kinds of parts opened by the cut; sensor, targets and rays stay whole."""
@@ -92,8 +88,6 @@ class View:
         self.plotter.renderer.AddObserver("StartEvent", lambda *_: self._move_near_plane())
         self.plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color="white", line_width=2)
         self.overlay = Overlay(self.plotter)
-        self._media = shown_media(world)
-        self._name_media()
         self._draw_parts()
         self.look(self.preset)
 
@@ -187,12 +181,8 @@ class View:
                 )  # fmt: skip
 
     def write(self, lines: list[str]) -> None:
-        """Write the title and a caption over the picture: description and number of the drawn rays, and media."""
-        drawn = [self.lines.caption] if self.lines is not None else []
-        self.caption = [*lines, *drawn, *(medium.in_words for medium in self._media[:MOST_NAMED])]
-        more = len(self._media) - MOST_NAMED
-        if more > 0:
-            self.caption.append(f"and {more} more {'medium' if more == 1 else 'media'}")
+        """Write the title and a caption over the picture: description and number of the drawn rays."""
+        self.caption = [*lines, self.lines.caption] if self.lines is not None else list(lines)
         self.overlay.write(self.title, [*self.caption, self.scale], self.legend)
 
     def smooth(self, on: bool) -> None:
@@ -211,16 +201,6 @@ class View:
         """Return the drawn mesh of every part, whole or cut."""
         return [(part, self._shown(part)) for part in self._parts]
 
-    def _name_media(self) -> None:
-        """Write the name of each medium with a body at its top."""
-        up = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME][:, 1]
-        for medium in self._media:
-            if medium.body is not None:
-                corners = np.asarray(medium.body.vertices)
-                height = corners @ up
-                highest = corners[height > height.max() - 1e-6 * np.ptp(height)]
-                self.overlay.name(medium.name, highest.mean(axis=0))
-
     def _eye(self) -> tuple[Any, ...]:
         camera = self.plotter.camera
         return camera.position, camera.focal_point, camera.up, camera.parallel_scale
@@ -236,9 +216,7 @@ class View:
         if camera.parallel_projection:
             return
         eye = np.array(camera.position)
-        # The eye may be inside a medium.
-        solid = [part.mesh.bounds for part in self._parts if part.kind != "medium"]
-        boxes = np.array(solid).reshape(-1, 3, 2)
+        boxes = np.array([part.mesh.bounds for part in self._parts]).reshape(-1, 3, 2)
         beside = np.maximum(0.0, np.maximum(boxes[..., 0] - eye, eye - boxes[..., 1]))
         near, far = camera.clipping_range
         # Depth along the view axis is less than the distance to a box at the picture's corners.

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.transport.collisions import far_end_mm
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
-from lfmesh.view.media import shown_media
 
 Array = NDArray[np.float64]
 
@@ -199,12 +199,11 @@ def _camera(world: World) -> Array:
 
 
 def _object(world: World) -> Array:
-    """Return points of the object, as far as the camera sees it: targets, else media, else its field in focus."""
+    """Return points of the object: the targets as far as the camera sees them, or its field in the plane of focus."""
+    seen = [points for target in world.targets if len(points := _in_field(world, target))]
     distance = world.facts.object_distance_mm
-    bodies = [target.mesh.vertices for target in world.targets]
-    bodies = bodies or [medium.body.vertices for medium in shown_media(world) if medium.body is not None]
-    if bodies:
-        return np.concatenate([_in_field(world, np.asarray(corners)) for corners in bodies])
+    if seen:
+        return np.concatenate(seen)
     if 0.0 < distance < np.inf:
         x, y = (0.5 * size for size in world.facts.field_of_view_mm)
         return _box([-x, -y, -distance], [x, y, -distance])
@@ -213,9 +212,9 @@ def _object(world: World) -> Array:
     return _box([-rim, -rim, -WITHOUT_OBJECT * length], [rim, rim, -WITHOUT_OBJECT * length])
 
 
-def _in_field(world: World, corners: Array) -> Array:
-    """Return the corners of a box around points (n, 3), world frame, moved to the border of the field if outside."""
-    points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], corners)
+def _in_field(world: World, target: TargetMesh) -> Array:
+    """Return the corners of a target's box, moved to the border of the field of view if outside."""
+    points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)
     z = np.clip(points[:, 2], -np.inf, 0.0)
     distance = world.facts.object_distance_mm
     widest = np.array(world.facts.field_of_view_mm)

@@ -4,8 +4,10 @@ vtk.js loses text in the picture, so title, launch, counts, legend and scale are
 """
 
 import re
+import signal
 import sys
 import tempfile
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -83,7 +85,12 @@ def page_of(view: View) -> str:
     preset = view.preset
     view.look(preset, aspect=ASPECT, angle_deg=ANGLE_DEG)
     try:
-        with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), _not_imported(VTK_WASM):
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            warnings.catch_warnings(),
+            _signals_kept(),
+            _not_imported(VTK_WASM),
+        ):
             warnings.simplefilter("ignore")
             raw = Path(folder) / "page.html"
             view.plotter.trame.export_html(raw)
@@ -91,6 +98,23 @@ def page_of(view: View) -> str:
     finally:
         view.look(preset)
     return captioned(page, view)
+
+
+@contextmanager
+def _signals_kept() -> Iterator[None]:
+    """Restore the signal handlers afterwards: the server that exports a page takes Ctrl-C, and never gives it back."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    wakeup = signal.set_wakeup_fd(-1)
+    signal.set_wakeup_fd(wakeup)
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(wakeup)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ import html
 import io
 import re
 import shutil
+import signal
 import sys
 from collections.abc import Callable
 from importlib import util
@@ -92,6 +93,18 @@ def test_a_page_that_is_too_large_is_a_picture_that_says_so(
     text = html.unescape(shown._repr_html_())
     assert re.search(r"would take \d\.\d MB\. lf\.show\(\.\.\., html=\"scene\.html\"\)", text)
     assert "<iframe" not in text
+
+
+def test_ctrl_c_works_after_a_page(world: lf.World, views: Callable[..., View]) -> None:
+    """A server exports the page; its handlers of signals must not outlive it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        pages.page_of(views(world))
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.browser

@@ -156,8 +156,9 @@ def history(rays: Rays, path: int) -> list[Step]:
                 order, part = _order(met, event, wavelength, ways, (medium, other))
                 if order is not None and rays.unit != "W":
                     sides = _against_light(met, event, ways[1], sides)
-                reflectance, transmittance, _ = shares(met.table, row, 0, *sides, False)
-                left = steps[-1].power * (transmittance if event == Event.TRANSMITTED else reflectance) * part
+                if part > 0.0:
+                    reflectance, transmittance, _ = shares(met.table, row, 0, *sides, False)
+                    left = steps[-1].power * (transmittance if event == Event.TRANSMITTED else reflectance) * part
             medium = other if event == Event.TRANSMITTED else medium
         name = rays.surfaces[rays.surface[vertex]]
         steps.append(
@@ -217,7 +218,8 @@ def _order(
     """Return the diffraction order that a path follows at an interface, and its share of the light.
 
     The order is the change of the tangential part of n d, over that of the first order. Where the phase is level, all
-    orders have one direction; the main one stands for them, or the zeroth of reflected light.
+    orders have one direction; the main one stands for them, or the zeroth of reflected light. The order of a path that
+    ends at the interface is unknown if there are several: None, with a share of 0.
 
     Parameters
     ----------
@@ -231,13 +233,15 @@ def _order(
     """
     if met.phase is None or met.steepness is None or met.normal is None:
         return None, 1.0
-    reflects = event == Event.REFLECTED
+    (arriving, leaving), reflects = ways, event == Event.REFLECTED
     n_i, n_t = (refractive_index(each, wavelength_nm) for each in media)
     known = dict(met.phase.reflected() if reflects else met.phase.orders_of(wavelength_nm, *media))
+    if leaving is None and len(known) > 1:
+        return None, 0.0
     order = 0 if reflects else met.phase.main_order
     first = wavelength_nm * 1e-6 / (2.0 * np.pi) * met.steepness
     first = first - (first @ met.normal) * met.normal
-    (arriving, leaving), size = ways, float(first @ first)
+    size = float(first @ first)
     if arriving is not None and leaving is not None and size > LEVEL**2:
         change = (n_i if reflects else n_t) * leaving - n_i * arriving
         order = round(float(change @ first) / size)

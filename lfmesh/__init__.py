@@ -112,6 +112,16 @@ if TYPE_CHECKING:
     )
     from lfmesh.scene.camera.bands import Band
     from lfmesh.scene.camera.cover import Cover
+    from lfmesh.scene.camera.gradient import (
+        AxialGradient,
+        GradientDispersion,
+        GradiumGradient,
+        RadialGradient,
+        RadialSquareGradient,
+        SelfocGradient,
+        SphericalGradient,
+        XyzGradient,
+    )
     from lfmesh.scene.camera.lens import Element
     from lfmesh.scene.camera.phase import (
         GratingPhase,
@@ -170,6 +180,7 @@ __all__ = [
     "Air",
     "AllInFocus",
     "ArrayForm",
+    "AxialGradient",
     "BackFace",
     "Band",
     "Biconic",
@@ -211,6 +222,8 @@ __all__ = [
     "FoldedPatchesWarning",
     "GlassError",
     "Gloss",
+    "GradientDispersion",
+    "GradiumGradient",
     "GratingPhase",
     "Grid",
     "GridPhase",
@@ -262,7 +275,9 @@ __all__ = [
     "ProjectionMatrix",
     "Qbfs",
     "Qcon",
+    "RadialGradient",
     "RadialPhase",
+    "RadialSquareGradient",
     "RayModel",
     "RayleighPhase",
     "Reconstruction",
@@ -271,10 +286,12 @@ __all__ = [
     "RotationDisplacement",
     "Scene",
     "SceneError",
+    "SelfocGradient",
     "Sensor",
     "Sheet",
     "Spectrum",
     "Sphere",
+    "SphericalGradient",
     "SpotLight",
     "Status",
     "Study",
@@ -294,6 +311,7 @@ __all__ = [
     "Wavefront",
     "World",
     "XyPhase",
+    "XyzGradient",
     "__version__",
     "all_in_focus",
     "analyse",
@@ -417,6 +435,16 @@ _HOMES = {
     ],
     "lfmesh.scene.camera.bands": ["Band"],
     "lfmesh.scene.camera.cover": ["Cover"],
+    "lfmesh.scene.camera.gradient": [
+        "AxialGradient",
+        "GradientDispersion",
+        "GradiumGradient",
+        "RadialGradient",
+        "RadialSquareGradient",
+        "SelfocGradient",
+        "SphericalGradient",
+        "XyzGradient",
+    ],
     "lfmesh.scene.camera.lens": ["Element"],
     "lfmesh.scene.camera.phase": [
         "GratingPhase",

@@ -10,6 +10,7 @@ from lfmesh.optics.glass import Medium
 from lfmesh.scene.camera.element import Element
 from lfmesh.scene.camera.file_choices import AS_IT_STANDS, FILE_CHOICES, FileChoices
 from lfmesh.scene.camera.gaps import least_gap_mm, rim_gap_mm, touching_mm
+from lfmesh.scene.camera.gradient_faults import gap_faults
 from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.literals import at_least
 from lfmesh.scene.materials.coatings import UNCOATED, Coating
@@ -141,7 +142,8 @@ class Lens(Model):
         given = {"index": matter.index, "glass": matter.glass} if matter.medium is not None else {}
         surfaces = list(self.surfaces)
         for number in range(self.last_interface, len(surfaces)):
-            surfaces[number] = surfaces[number].model_copy(update={"index": None, "glass": None, **given})
+            own = {"index": None, "glass": None, "gradient": None, **given}
+            surfaces[number] = surfaces[number].model_copy(update=own)
         return self.model_copy(update={"surfaces": tuple(surfaces)})
 
     def element_of(self, number: int) -> int | None:
@@ -159,7 +161,7 @@ class Lens(Model):
         return next((i for i, element in enumerate(self.elements) if number in element.surfaces), None)
 
     def is_pure_stop(self, number: int) -> bool:
-        """Return whether surface `number` is only a stop: marked, flat, without a phase, in one medium.
+        """Return whether surface `number` is only a stop: marked, flat, without a phase, in one homogeneous medium.
 
         Parameters
         ----------
@@ -171,7 +173,8 @@ class Lens(Model):
         bool
         """
         surface, media = self.surfaces[number], self.media
-        acts = surface.paraxial or surface.phase is not None
+        # A gradient counts from the vertex of its own surface, so that equal ones differ behind the next.
+        acts = surface.paraxial or surface.phase is not None or surface.gradient is not None
         return surface.stop and surface.is_flat and not acts and media[number] == media[number + 1]
 
     def aperture_mm(self, number: int) -> float | None:
@@ -241,6 +244,7 @@ class Lens(Model):
         yield from self._stop_faults()
         yield from self._spacing_faults()
         yield from self._element_faults()
+        yield from gap_faults(self.surfaces, self.element_of)
 
     def _stop_faults(self) -> Iterator[Fault]:
         stops = [i for i, surface in enumerate(self.surfaces) if surface.stop]

@@ -8,6 +8,8 @@ from pydantic import Field
 
 from lfmesh.optics.glass import Medium
 from lfmesh.scene.camera.back_face import BackFace
+from lfmesh.scene.camera.gradient import AnyGradient
+from lfmesh.scene.camera.gradient_faults import BESIDE_GRADIENT, gradient_beside, rough_beside_gradient
 from lfmesh.scene.camera.lenslet_depth import cell_corner_mm, highest_and_deepest_mm, profile_words
 from lfmesh.scene.camera.per_type import ConicPerType, RadiusPerType, TermsPerType
 from lfmesh.scene.camera.phase import AnyPhase, Phase
@@ -43,7 +45,7 @@ class ArrayForm(Model):
 
 
 class MicrolensArray(Model):
-    """A plate with one curved face; the other one is flat or curved. With a phase, both may be flat."""
+    """A plate with one curved face; the other one is flat or curved. With a phase or gradient, both may be flat."""
 
     layout: Literal["square", "hexagonal"] = "square"
     """Grid of the lenslets; "hexagonal": rows pitch · √3/2 apart, every second one shifted by half a pitch."""
@@ -56,7 +58,7 @@ class MicrolensArray(Model):
     array. Or give `radius_mm`. It is that of the curved face alone, without phases."""
     radius_mm: RadiusPerType | None = None
     """Radius of the curved face, in mm: positive converges, whichever way the face looks; a list: one per type. Or give
-    `focal_length_mm`. Omitted beside `curved_phase`: inf, flat."""
+    `focal_length_mm`. Omitted beside `curved_phase` or `gradient`: inf, flat."""
     conic: ConicPerType = (0.0,)
     """Conic constant of the lenslets: 0 sphere, −1 paraboloid, below −1 hyperboloid; a list: one per type."""
     asphere_mm: TermsPerType = ((),)
@@ -73,6 +75,13 @@ class MicrolensArray(Model):
     glass: Glass | None = None
     """Glass of the plate: a catalogue name such as "SCHOTT/N-BK7", or a dispersion such as { nd = 1.5168,
     vd = 64.17 }."""
+    gradient: AnyGradient | None = None
+    """Gradient-index glass of the plate, about the axis of each lenslet, such as { kind = "radial_n2", index = 1.6,
+    coefficients = [-0.09] }. z is 0 at the apex of the face towards the lens. Replaces `index` and `glass`; needs
+    `radius_mm`, or flat faces. Omitted: a homogeneous plate."""
+    walls: Literal["absorb", "clear"] = "absorb"
+    """Walls between the cells of a plate with a `gradient`: "absorb" light that reaches them, as between rods, or
+    "clear": refract it into the next cell."""
     thickness_mm: Positive
     """Thickness from the apex of the curved face to the flat face, or to the apexes of `back`, in mm."""
     curved_coating: Text = UNCOATED
@@ -103,8 +112,8 @@ class MicrolensArray(Model):
 
     @property
     def medium(self) -> Medium:
-        """Material of the plate: an index or a glass."""
-        return self.index if self.index is not None else self.glass or 1.0
+        """Material of the plate: an index, a glass or a gradient."""
+        return self.index if self.index is not None else self.gradient or self.glass or 1.0
 
     @property
     def types(self) -> int:
@@ -113,10 +122,14 @@ class MicrolensArray(Model):
 
     @property
     def radii_mm(self) -> tuple[float, ...]:
-        """Known radii of the curved face, by type: `radius_mm`, or inf for a face with only a phase."""
-        if self.radius_mm is None and self.focal_length_mm is None and self.curved_phase is not None:
+        """Known radii of the curved face, by type: `radius_mm`, or inf for a flat face with a phase or gradient."""
+        if self.radius_mm is None and self.focal_length_mm is None and self._may_be_flat:
             return (math.inf,)
         return self.radius_mm or ()
+
+    @property
+    def _may_be_flat(self) -> bool:
+        return self.curved_phase is not None or self.gradient is not None
 
     @property
     def phases(self) -> dict[str, Phase]:
@@ -146,8 +159,8 @@ class MicrolensArray(Model):
 
     @property
     def both_faces_act(self) -> bool:
-        """True if the optics of a lenslet need both faces: lenslets on both, or a phase."""
-        return self.has_back or bool(self.phases)
+        """True if the optics of a lenslet need both faces: lenslets on both, a phase or a gradient."""
+        return self.has_back or bool(self.phases) or self.gradient is not None
 
     @property
     def main_section(self) -> Literal["x", "y"]:
@@ -155,6 +168,8 @@ class MicrolensArray(Model):
         if self.cylinder_axis is not None:
             return "y" if self.cylinder_axis == "x" else "x"
         in_x, _, in_y = self.curved_phase.curvature_rad_mm2 if self.curved_phase is not None else (0.0, 0.0, 0.0)
+        if self.gradient is not None:
+            in_x, in_y = self.gradient.curvatures
         return "y" if abs(in_y) > abs(in_x) else "x"
 
     @property
@@ -283,9 +298,12 @@ class MicrolensArray(Model):
         if self.radius_mm is not None and self.focal_length_mm is not None:
             yield Fault(("focal_length_mm",), list(self.focal_length_mm), "radius_mm is given too; give one of them")
         elif not self.radii_mm and self.focal_length_mm is None:
-            yield Fault(("focal_length_mm",), None, "missing: give focal_length_mm, radius_mm or curved_phase")
-        if self.curved_phase is None and math.inf in self.radii_mm:
-            yield Fault(("radius_mm",), math.inf, "a flat face bends no light: give a radius, or curved_phase too")
+            yield Fault(
+                ("focal_length_mm",), None, "missing: give focal_length_mm, radius_mm, curved_phase or gradient"
+            )
+        if not self._may_be_flat and math.inf in self.radii_mm:
+            why = "a flat face bends no light: give a radius, or curved_phase or gradient too"
+            yield Fault(("radius_mm",), math.inf, why)
         shapes = list(self._profile_faults())
         for kind, radius in enumerate(self.radii_mm if not shapes else ()):
             if why := self.cap_fault(radius, kind=kind):
@@ -295,6 +313,7 @@ class MicrolensArray(Model):
         if self.back is not None:
             yield from self._back_faults(self.back, sound=not shapes)
         yield from self._medium_faults()
+        yield from self._gradient_faults()
 
     def _back_faults(self, back: BackFace, *, sound: bool) -> Iterator[Fault]:
         """Yield faults of the second face; `sound` is True if the shape of the first has none."""
@@ -308,9 +327,26 @@ class MicrolensArray(Model):
             depth = max(each)
         yield from back.faults_in(self.layout, self.pitch_mm, self.thickness_mm, depth)
 
+    def _gradient_faults(self) -> Iterator[Fault]:
+        """Yield keys that exclude a gradient, and walls without one."""
+        if self.gradient is None:
+            if self.walls != "absorb":
+                yield Fault(("walls",), self.walls, "omit it: only a plate with a gradient has walls between its cells")
+            return
+        yield from gradient_beside(self.gradient, self.index, self.glass)
+        if self.focal_length_mm is not None:
+            why = "with a gradient the whole plate has the focal length: give radius_mm, or omit it for a flat face"
+            yield Fault(("focal_length_mm",), list(self.focal_length_mm), why)
+        for key, finish in (("curved_finish", self.curved_finish), ("flat_finish", self.flat_finish)):
+            yield from rough_beside_gradient(finish, (key,))
+        for key in self.phases:
+            yield Fault((key,), None, BESIDE_GRADIENT)
+
     def _medium_faults(self) -> Iterator[Fault]:
+        if self.gradient is not None:
+            return
         if self.index is None and self.glass is None:
-            yield Fault(("index",), None, "missing: give the plate's index, or glass")
+            yield Fault(("index",), None, "missing: give the plate's index, glass or gradient")
         elif self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
         elif self.index == 1:

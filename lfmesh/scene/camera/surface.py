@@ -11,6 +11,8 @@ from pydantic import Field
 from lfmesh.optics.bounds import ACROSS, SAG, Range, profile_range
 from lfmesh.optics.glass import AIR, Medium
 from lfmesh.scene.camera.forms import Form, Heights, reach_of_conic_mm
+from lfmesh.scene.camera.gradient import AnyGradient
+from lfmesh.scene.camera.gradient_faults import gradient_beside
 from lfmesh.scene.camera.phase import AnyPhase
 from lfmesh.scene.camera.qbfs import EvenForm, Qbfs
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS, Qcon, within_floats
@@ -49,6 +51,9 @@ class Surface(Model):
     glass: Glass | None = None
     """Glass behind the surface: a catalogue name such as "SCHOTT/N-BK7", or a dispersion such as { nd = 1.5168, vd =
     64.17 }."""
+    gradient: AnyGradient | None = None
+    """Gradient-index glass behind the surface, up to the next one, such as { kind = "radial_n2", index = 1.6,
+    coefficients = [-0.09] }. Replaces `index` and `glass`. Omitted: homogeneous."""
     semi_diameter_mm: Positive | None = None
     """Radius of the clear aperture, in mm. Omit it at a stop that `stop_semi_diameter_mm`, `f_number` or `epd_mm`
     sizes. If a stop is marked, the other surfaces may omit it too. They then pass the whole beam of every image point
@@ -100,10 +105,10 @@ class Surface(Model):
 
     @property
     def medium(self) -> Medium:
-        """Material behind the surface: an index, a glass, or None for air."""
+        """Material behind the surface: an index, a glass, a gradient, or None for air."""
         if self.index is not None:
             return None if self.index == AIR else self.index
-        return self.glass
+        return self.gradient if self.gradient is not None else self.glass
 
     @property
     def is_flat(self) -> bool:
@@ -114,7 +119,7 @@ class Surface(Model):
     @property
     def is_plain_stop(self) -> bool:
         """True for a flat stop without a given medium and without a phase."""
-        given = (self.index, self.glass, self.mesh, self.refractor, self.phase)
+        given = (self.index, self.glass, self.gradient, self.mesh, self.refractor, self.phase)
         return self.stop and self.is_flat and not self.paraxial and all(each is None for each in given)
 
     @property
@@ -200,14 +205,16 @@ class Surface(Model):
 
     @property
     def asymmetric_key(self) -> str | None:
-        """Key of `form`, or "phase" for one without rotational symmetry, or None."""
-        phase = self.phase
-        return self.section_key or ("phase" if phase is not None and not phase.of_revolution else None)
+        """Key of `form`, or "phase" or "gradient" for one without rotational symmetry, or None."""
+        if self.section_key is not None:
+            return self.section_key
+        parts = {"phase": self.phase, "gradient": self.gradient}
+        return next((key for key, part in parts.items() if part is not None and not part.of_revolution), None)
 
     @property
     def is_symmetric(self) -> bool:
-        """True if shape and phase are symmetric about x and about y."""
-        return all(each is None or each.symmetric for each in (self.form, self.phase))
+        """True if shape, phase and gradient are symmetric about x and about y."""
+        return all(each is None or each.symmetric for each in (self.form, self.phase, self.gradient))
 
     @property
     def reach_mm(self) -> float:
@@ -311,6 +318,11 @@ class Surface(Model):
             yield Fault(("qcon", "norm_radius_mm"), self.qcon.norm_radius_mm, "its powers leave the range of float64")
         if self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+        yield from gradient_beside(self.gradient, self.index, self.glass)
+        if self.gradient is not None and self.mesh is not None:
+            yield Fault(
+                ("gradient",), None, "omit it: rays through gradient glass begin on an exact surface, not a mesh"
+            )
         yield from both_given(self.coating, self.finish, "finish")
         yield from rough_phase(self.phase, self.finish, "phase")
         if self.phase is not None and self.mesh is not None:

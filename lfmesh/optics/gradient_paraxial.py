@@ -1,0 +1,166 @@
+"""Paraxial optics of gradient-index glass: the index on the axis, and the matrix of a gap between two vertices.
+
+With dσ = ds/n, a paraxial ray follows dh/dσ = p and dp/dσ = ½ ∂²n²/∂h² h, where h is the height and p the reduced
+angle, the index times the slope. On the axis dz/dσ = n. In a medium that is constant along z both have the solutions
+cos and sin (cosh and sinh where the index grows off the axis). Elsewhere a Magnus integrator of order 6 follows the
+matrix along z (S. Blanes, F. Casas, J. A. Oteo and J. Ros, Phys. Rep. 470, 151, 2009, section 5.5). Its steps are
+exponentials of matrices without trace, so the determinant is 1.
+"""
+
+from math import cos, cosh, isfinite, sin, sinh, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import GlassError
+from lfmesh.optics.gradient_shapes import REVOLVED, GradientProfile, paraxial_at
+
+Array = NDArray[np.float64]
+GapMatrix = tuple[float, float, float, float]
+
+NODES = np.array([0.5 - sqrt(0.15), 0.5, 0.5 + sqrt(0.15)])
+"""Gauss nodes of a step, as fractions of its length."""
+
+PRECISION = 1e-12
+"""Relative change of the matrix on doubling the steps, at which the finer one is accepted; its error is a 64th."""
+
+FEWEST_STEPS, MOST_STEPS = 8, 1 << 16
+
+
+def index_on_axis(profile: GradientProfile, z_mm: float) -> float:
+    """Return the index on the axis.
+
+    Parameters
+    ----------
+    profile : GradientProfile
+    z_mm : float
+        Distance from the vertex in front of the medium.
+
+    Raises
+    ------
+    GlassError
+        The formula gives no real index there.
+    """
+    with np.errstate(all="ignore"):
+        squared = float(paraxial_at(profile, z_mm)[0][0])
+    if not (squared > 0.0 and isfinite(squared)):
+        raise GlassError(f"gradient index: n² = {squared:.6g} on the axis at z = {z_mm:g} mm; it must be above 0")
+    return sqrt(squared)
+
+
+def gap_matrix(profile: GradientProfile, length_mm: float, *, section_x: bool = False) -> GapMatrix:
+    """Return the matrix (a, b, c, d) of a gap on heights and reduced angles: h' = a h + b p, p' = c h + d p.
+
+    Its determinant is 1, so light in the reverse direction has the matrix (d, b, c, a).
+
+    Parameters
+    ----------
+    profile : GradientProfile
+    length_mm : float
+        Distance from the vertex in front of the medium to the next vertex, 0 or more.
+    section_x : bool
+        Return the matrix of the section x–z in place of y–z.
+
+    Raises
+    ------
+    GlassError
+        The formula gives no real index on the axis within the gap, or changes too fast along it.
+    """
+    if length_mm == 0.0:
+        return 1.0, 0.0, 0.0, 1.0
+    if profile.kind == REVOLVED and not profile.numbers.reshape(profile.counts[:2])[:, 1:].any():
+        index, rate = (float(each[0]) for each in _along_axis(profile, np.zeros(1), section_x))
+        return _exponential(0.0, length_mm / index, length_mm * rate / index)
+    index, rate = _along_axis(profile, np.linspace(0.0, length_mm, FEWEST_STEPS + 1), section_x)
+    # A zero of b or c, as of a rod of half a period, must not ask for more than rounding allows.
+    sizes = 1.0, length_mm / index.min(), length_mm * np.abs(rate / index).max(), 1.0
+    steps = FEWEST_STEPS
+    coarse, fine = (_followed(profile, length_mm, section_x, each) for each in (steps, 2 * steps))
+    while not all(
+        abs(x - y) <= PRECISION * max(size, abs(y)) for x, y, size in zip(coarse, fine, sizes, strict=True)
+    ):  # fmt: skip
+        steps *= 2
+        if steps > MOST_STEPS:
+            raise GlassError(f"gradient index: on the axis it changes too fast within {length_mm:g} mm")
+        coarse, fine = fine, _followed(profile, length_mm, section_x, 2 * steps)
+    a, b, c, d = fine
+    return a, b, c, d
+
+
+def _along_axis(profile: GradientProfile, z: Array, section_x: bool) -> tuple[Array, Array]:
+    """Return the index on the axis and ½ ∂²n²/∂h² in a section, (n,) each."""
+    with np.errstate(all="ignore"):
+        squared, _, xx, yy = paraxial_at(profile, z)
+    rate = xx if section_x else yy
+    wrong = ~((squared > 0.0) & np.isfinite(squared) & np.isfinite(rate))
+    if wrong.any():
+        index_on_axis(profile, float(z[wrong][0]))
+        raise GlassError(f"gradient index: it has no finite curvature at z = {z[wrong][0]:g} mm on the axis")
+    return np.sqrt(squared), rate
+
+
+def _followed(profile: GradientProfile, length_mm: float, section_x: bool, steps: int) -> GapMatrix:
+    """Return the matrix of a gap in equal Magnus steps of order 6.
+
+    With dM/dz = [[0, β], [γ, 0]] M, β = 1/n and γ = ½ ∂²n²/∂h² / n, the values at the Gauss nodes give the moments
+    α₁ = h A₂, α₂ = h √15/3 (A₃ − A₁) and α₃ = h 10/3 (A₃ − 2 A₂ + A₁). The exponent is
+    α₁ + α₃/12 + [−20 α₁ − α₃ + C₁, α₂ + C₂]/240, with C₁ = [α₁, α₂] and C₂ = −[α₁, 2 α₃ + C₁]/60.
+    """
+    h = length_mm / steps
+    z = (h * (np.arange(steps)[:, None] + NODES)).ravel()
+    index, rate = _along_axis(profile, z, section_x)
+    beta, gamma = ((each / index).reshape(steps, 3) for each in (np.ones_like(rate), rate))
+    # A matrix without trace is kept as its elements (a, b, c) of [[a, b], [c, −a]].
+    zero = np.zeros(steps)
+    first = zero, h * beta[:, 1], h * gamma[:, 1]
+    second = zero, *(h * sqrt(15.0) / 3.0 * (each[:, 2] - each[:, 0]) for each in (beta, gamma))
+    third = zero, *(h * 10.0 / 3.0 * (each[:, 2] - 2.0 * each[:, 1] + each[:, 0]) for each in (beta, gamma))
+    c1 = _commutator(first, second)
+    c2 = _scaled(-1.0 / 60.0, _commutator(first, _sum(_scaled(2.0, third), c1)))
+    inner = _commutator(_sum(_scaled(-20.0, first), _scaled(-1.0, third), c1), _sum(second, c2))
+    exponents = _sum(first, _scaled(1.0 / 12.0, third), _scaled(1.0 / 240.0, inner))
+    total = 1.0, 0.0, 0.0, 1.0
+    for a, b, c in zip(*exponents, strict=True):
+        total = _product(_exponential(float(a), float(b), float(c)), total)
+    return total
+
+
+Traceless = tuple[Array, Array, Array]
+
+
+def _commutator(left: Traceless, right: Traceless) -> Traceless:
+    (a, b, c), (p, q, r) = left, right
+    return b * r - q * c, 2.0 * (a * q - p * b), 2.0 * (c * p - r * a)
+
+
+def _sum(*each: Traceless) -> Traceless:
+    a, b, c = (np.sum(elements, axis=0) for elements in zip(*each, strict=True))
+    return a, b, c
+
+
+def _scaled(factor: float, matrix: Traceless) -> Traceless:
+    a, b, c = matrix
+    return factor * a, factor * b, factor * c
+
+
+def _exponential(a: float, b: float, c: float) -> GapMatrix:
+    """Return the exponential of [[a, b], [c, −a]], whose square is (a² + b c) times the unit matrix."""
+    square = a * a + b * c
+    if square < 0.0:
+        angle = sqrt(-square)
+        even, odd = cos(angle), sin(angle) / angle
+    elif square > 0.0:
+        angle = sqrt(square)
+        even, odd = cosh(angle), sinh(angle) / angle
+    else:
+        even, odd = 1.0, 1.0
+    return even + odd * a, odd * b, odd * c, even - odd * a
+
+
+def _product(after: GapMatrix, before: GapMatrix) -> GapMatrix:
+    return (
+        after[0] * before[0] + after[1] * before[2],
+        after[0] * before[1] + after[1] * before[3],
+        after[2] * before[0] + after[3] * before[2],
+        after[2] * before[1] + after[3] * before[3],
+    )

@@ -1,0 +1,361 @@
+"""Gradient-index glass of lenses and of the array's plate: its index at every point, and its dispersion."""
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from lfmesh.errors import GlassError
+from lfmesh.optics.glass import D_LINE_NM
+from lfmesh.optics.gradient_paraxial import index_on_axis
+from lfmesh.optics.gradient_shapes import (
+    GradientMaterial,
+    GradientProfile,
+    at_wavelength,
+    gradium_profile,
+    radial_and_axial_profile,
+    radial_square_profile,
+    selfoc_profile,
+    separable_profile,
+    spherical_profile,
+)
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.quantities import Coefficient, Index, Number, Positive, Radius
+
+__all__ = [
+    "AnyGradient",
+    "AxialGradient",
+    "Gradient",
+    "GradientDispersion",
+    "GradiumGradient",
+    "RadialGradient",
+    "RadialSquareGradient",
+    "SelfocGradient",
+    "SphericalGradient",
+    "XyzGradient",
+]
+
+MOST_TERMS = 30
+"""Maximum number of coefficients of a list."""
+
+MOST_DISPERSION_TERMS = 8
+"""Maximum number of terms of the dispersion, and of coefficients of each."""
+
+LOWEST, HIGHEST = 1.0, 10.0
+"""Bounds of the index on the axis."""
+
+Coefficients = Annotated[tuple[Coefficient, ...], Field(max_length=MOST_TERMS)]
+GivenCoefficients = Annotated[tuple[Coefficient, ...], Field(min_length=1, max_length=MOST_TERMS)]
+Series = Annotated[tuple[Coefficient, ...], Field(min_length=1, max_length=MOST_DISPERSION_TERMS)]
+
+
+class GradientDispersion(Model):
+    """Dispersion n² = n_ref² + (λ² − λ_ref²) Σ K_i / (λ² − L_i), with K_i and L_i polynomials of n_ref."""
+
+    reference_nm: Positive
+    """Wavelength λ_ref at which the gradient's numbers hold, in nm."""
+    strengths: tuple[Series, ...] = Field(min_length=1, max_length=MOST_DISPERSION_TERMS)
+    """For each term i, the coefficients of K_i in 1, n_ref, n_ref², ... (no unit)."""
+    resonances_um2: tuple[Series, ...] = Field(min_length=1, max_length=MOST_DISPERSION_TERMS)
+    """For each term i, the coefficients of L_i in 1, n_ref, n_ref², ..., in µm²."""
+
+    @property
+    def material(self) -> GradientMaterial:
+        """The numbers, with zeros for coefficients that are not given."""
+        return GradientMaterial(_filled(self.strengths), _filled(self.resonances_um2), self.reference_nm)
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield faults between fields."""
+        if len(self.strengths) != len(self.resonances_um2):
+            yield Fault(
+                ("resonances_um2",), None,
+                f"has {len(self.resonances_um2)} terms, but strengths has {len(self.strengths)}; give equally many",
+            )  # fmt: skip
+
+
+class Gradient(Model):
+    """Properties that gradient-index glass of every kind has.
+
+    x, y and z are those of the surface in front of the glass, from its vertex.
+    """
+
+    def profile(self, wavelength_nm: float) -> GradientProfile:
+        """Return the index profile at a wavelength.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+
+        Returns
+        -------
+        GradientProfile
+            Its frame is that of the surface in front.
+        """
+        return _profile(self, float(wavelength_nm))
+
+    def index_at(self, wavelength_nm: float) -> float:
+        """Return the refractive index at the vertex of the surface in front.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        GlassError
+            It is not between 1 and 10.
+        """
+        return self.index_on_axis(wavelength_nm, 0.0)
+
+    def index_on_axis(self, wavelength_nm: float, z_mm: float) -> float:
+        """Return the refractive index on the axis.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+        z_mm : float
+            Distance from the vertex of the surface in front.
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        GlassError
+            It is not between 1 and 10.
+        """
+        index = index_on_axis(self.profile(wavelength_nm), z_mm)
+        # The root of a square may lie a rounding error below 1.
+        if not LOWEST * (1.0 - 1e-15) <= index <= HIGHEST:
+            raise GlassError(
+                f"gradient at {wavelength_nm:g} nm: index {index:g} on the axis at z = {z_mm:g} mm; it must lie "
+                f"between {LOWEST:g} and {HIGHEST:g}"
+            )
+        return index
+
+    def _shape(self, wavelength_nm: float) -> GradientProfile:
+        raise NotImplementedError
+
+    @property
+    def catalogue_name(self) -> str | None:
+        """None: the catalogue has no gradient-index glass."""
+        return None
+
+    @property
+    def of_revolution(self) -> bool:
+        """True if the index depends on z and the distance from the axis alone."""
+        return True
+
+    @property
+    def symmetric(self) -> bool:
+        """True if the index is symmetric about x and about y."""
+        return self.of_revolution
+
+    @property
+    def curvatures(self) -> tuple[float, float]:
+        """Second derivatives by x and by y at the vertex, up to a common factor."""
+        return 1.0, 1.0
+
+    def in_words(self) -> str:
+        """Return the kind, and the index at the vertex for the d line.
+
+        Returns
+        -------
+        str
+        """
+        kind = str(getattr(self, "kind", ""))
+        try:
+            return f"gradient {kind}, n = {self.index_at(D_LINE_NM):.6g} at the vertex"
+        except GlassError:
+            return f"gradient {kind}"
+
+
+class DispersiveGradient(Gradient):
+    """Keys of gradients whose numbers hold at one wavelength."""
+
+    dispersion: GradientDispersion | None = None
+    """Dispersion, such as that of a material of Zemax's SGRIN.DAT. Omitted: the same index at all wavelengths."""
+
+    def profile(self, wavelength_nm: float) -> GradientProfile:
+        """Return the index profile at a wavelength.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+
+        Returns
+        -------
+        GradientProfile
+            Its frame is that of the surface in front.
+        """
+        profile = super().profile(wavelength_nm)
+        return profile if self.dispersion is None else at_wavelength(profile, self.dispersion.material, wavelength_nm)
+
+
+class RadialSquareGradient(Gradient):
+    """Powers of the distance r from the axis in n²: n² = index² (1 + c₁ r² + c₂ r⁴ + ...)."""
+
+    kind: Literal["radial_n2"] = "radial_n2"
+    """Kind of gradient."""
+    index: Index
+    """Refractive index on the axis."""
+    coefficients: GivenCoefficients
+    """Coefficients c of r², r⁴, ..., in mm⁻², mm⁻⁴, ...; a negative first one converges."""
+
+    def _shape(self, wavelength_nm: float) -> GradientProfile:
+        return radial_square_profile(self.index, self.coefficients)
+
+
+class RadialGradient(DispersiveGradient):
+    """Powers of the distance r from the axis: n = index + c₁ r² + c₂ r⁴ + ... + d₁ z + d₂ z² + ..."""
+
+    kind: Literal["radial_n"] = "radial_n"
+    """Kind of gradient."""
+    index: Index
+    """Refractive index at the vertex."""
+    coefficients: GivenCoefficients
+    """Coefficients c of r², r⁴, ..., in mm⁻², mm⁻⁴, ...; a negative first one converges."""
+    axial_coefficients: Coefficients = ()
+    """Coefficients d of z, z², ..., in mm⁻¹, mm⁻², .... Omitted: the index is constant along z."""
+
+    def _shape(self, wavelength_nm: float) -> GradientProfile:
+        return radial_and_axial_profile(self.index, self.coefficients, self.axial_coefficients)
+
+
+class AxialGradient(DispersiveGradient):
+    """Powers of the depth z: n = index + c₁ z + c₂ z² + ..."""
+
+    kind: Literal["axial"] = "axial"
+    """Kind of gradient."""
+    index: Index
+    """Refractive index at the vertex."""
+    coefficients: GivenCoefficients
+    """Coefficients c of z, z², ..., in mm⁻¹, mm⁻², ..."""
+
+    def _shape(self, wavelength_nm: float) -> GradientProfile:
+        return radial_and_axial_profile(self.index, (), self.coefficients)
+
+
+class SphericalGradient(DispersiveGradient):
+    """Spheres of constant index: n = index + c₁ t + c₂ t² + ..., with t = R − sgn(R) √(r² + (R − z)²)."""
+
+    kind: Literal["spherical"] = "spherical"
+    """Kind of gradient."""
+    index: Index
+    """Refractive index at the vertex."""
+    coefficients: GivenCoefficients
+    """Coefficients c of t, t², ..., in mm⁻¹, mm⁻², .... On the axis t is z."""
+    radius_mm: Radius
+    """Radius R of the sphere of constant index through the vertex, in mm: positive when the centre lies towards the
+    sensor."""
+
+    def _shape(self, wavelength_nm: float) -> GradientProfile:
+        return spherical_profile(self.radius_mm, (self.index, *self.coefficients))
+
+
+class XyzGradient(DispersiveGradient):
+    """Powers of x, of y and of z: n = index + Σ a_i x^i + Σ b_i y^i + Σ c_i z^i, with i from 1."""
+
+    kind: Literal["xyz"] = "xyz"
+    """Kind of gradient."""
+    index: Index
+    """Refractive index at the vertex."""
+    x_coefficients: Coefficients = ()
+    """Coefficients a of x, x², ..., in mm⁻¹, mm⁻², .... Omitted: the index is constant along x."""
+    y_coefficients: Coefficients = ()
+    """Coefficients b of y, y², ..., in mm⁻¹, mm⁻², .... Omitted: the index is constant along y."""
+    z_coefficients: Coefficients = ()
+    """Coefficients c of z, z², ..., in mm⁻¹, mm⁻², .... Omitted: the index is constant along z."""
+
+    @property
+    def of_revolution(self) -> bool:
+        """True if the index depends on z alone, or has r² as its only other term."""
+        x, y = (_without_zeros(each) for each in (self.x_coefficients, self.y_coefficients))
+        return x == y and (not x or (len(x) == 2 and x[0] == 0.0))
+
+    @property
+    def symmetric(self) -> bool:
+        """True if all powers of x and y are even."""
+        return not any((*self.x_coefficients[::2], *self.y_coefficients[::2]))
+
+    @property
+    def curvatures(self) -> tuple[float, float]:
+        """Second derivatives by x and by y at the vertex, up to a common factor."""
+        return sum(self.x_coefficients[1:2]), sum(self.y_coefficients[1:2])
+
+    def _shape(self, wavelength_nm: float) -> GradientProfile:
+        return separable_profile(
+            (0.0, *self.x_coefficients), (0.0, *self.y_coefficients), (self.index, *self.z_coefficients)
+        )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield faults between fields."""
+        if not (self.x_coefficients or self.y_coefficients or self.z_coefficients):
+            yield Fault(("x_coefficients",), None, "missing: give the coefficients of x, y or z")
+
+
+class SelfocGradient(Gradient):
+    """Rod as SELFOC lenses are listed: n = n₀ (1 − A r²/2), with n₀ = B + C/λ², √A = K₀ + K₁/λ² + K₂/λ⁴, λ in µm."""
+
+    kind: Literal["selfoc"] = "selfoc"
+    """Kind of gradient."""
+    index: tuple[Number, Number]
+    """B and C of the index n₀ on the axis (no unit, and µm²)."""
+    gradient_constant_per_mm: tuple[Coefficient, Coefficient, Coefficient]
+    """K₀, K₁ and K₂ of the gradient constant √A, in mm⁻¹, mm⁻¹ µm² and mm⁻¹ µm⁴."""
+
+    def _shape(self, wavelength_nm: float) -> GradientProfile:
+        return selfoc_profile(self.index, self.gradient_constant_per_mm, wavelength_nm)
+
+
+class GradiumGradient(DispersiveGradient):
+    """Lens cut from an axial blank of GRADIUM glass: n = Σ n_i ((z + offset) / blank)^i, with i from 0."""
+
+    kind: Literal["gradium"] = "gradium"
+    """Kind of gradient."""
+    coefficients: GivenCoefficients
+    """Coefficients n of the powers 0, 1, 2, ... of the relative depth in the blank (no unit)."""
+    blank_mm: Positive
+    """Length of the blank, in mm."""
+    offset_mm: Number = 0.0
+    """Depth of the vertex of the surface in front in the blank, in mm."""
+
+    def _shape(self, wavelength_nm: float) -> GradientProfile:
+        return gradium_profile(self.coefficients, self.blank_mm, self.offset_mm)
+
+
+AnyGradient = Annotated[
+    RadialSquareGradient
+    | RadialGradient
+    | AxialGradient
+    | SphericalGradient
+    | XyzGradient
+    | SelfocGradient
+    | GradiumGradient,
+    Field(discriminator="kind"),
+]
+"""Gradient-index glass, by its kind."""
+
+
+@lru_cache(maxsize=256)
+def _profile(gradient: Gradient, wavelength_nm: float) -> GradientProfile:
+    """Return the profile without dispersion."""
+    return gradient._shape(wavelength_nm)
+
+
+def _filled(rows: tuple[tuple[float, ...], ...]) -> list[list[float]]:
+    """Return rows of equal length, with zeros at their ends."""
+    longest = max(map(len, rows))
+    return [[*row, *[0.0] * (longest - len(row))] for row in rows]
+
+
+def _without_zeros(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    """Return coefficients without the zeros at their end."""
+    count = max((i + 1 for i, each in enumerate(coefficients) if each), default=0)
+    return coefficients[:count]

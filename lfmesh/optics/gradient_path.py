@@ -123,7 +123,8 @@ def _square(ray: GradientRay) -> float:
 
 
 @inlined
-def _drift(ray: GradientRay, step: float) -> GradientRay:
+def drift(ray: GradientRay, step: float) -> GradientRay:
+    """Return a ray after a step in σ, mm, at constant T."""
     square = _square(ray)
     return GradientRay(
         fused(step, ray.tx, ray.x),
@@ -137,11 +138,12 @@ def _drift(ray: GradientRay, step: float) -> GradientRay:
     )
 
 
-def _kicker(value_at: Any) -> Any:
-    """Return the kick in an index field."""
+def kicker(value_at: Any) -> Any:
+    """Make the kernel that changes T at constant r, with `value_at` as in `stepper`."""
 
     @inlined
     def kick(field: Any, number: int, ray: GradientRay, step: float) -> GradientRay:
+        """Return a ray after a step in σ, mm, at constant r."""
         n2, kick_x, kick_y, kick_z = value_at(field, number, ray.x, ray.y, ray.z)
         return GradientRay(
             ray.x,
@@ -169,7 +171,7 @@ def stepper(value_at: Any) -> Any:
     -------
     advance : kernel
     """
-    kick = _kicker(value_at)
+    kick = kicker(value_at)
 
     @kernel
     def advance(field: Any, number: int, ray: GradientRay, step: float, steps: int) -> GradientRay:
@@ -186,12 +188,40 @@ def stepper(value_at: Any) -> Any:
         """
         for _ in range(steps):
             for i in range(STAGES):
-                ray = _drift(ray, DRIFTS[i] * step)
+                ray = drift(ray, DRIFTS[i] * step)
                 ray = kick(field, number, ray, KICKS[i] * step)
-            ray = _drift(ray, DRIFTS[STAGES] * step)
+            ray = drift(ray, DRIFTS[STAGES] * step)
         return ray
 
     return advance
+
+
+def corrector(height_at: Any) -> Any:
+    """Make the kernel that finds where a ray near a face crosses it, with `height_at` as in `tracer`."""
+
+    @inlined
+    def correction(face: Any, end: GradientRay, kick_x: float, kick_y: float, kick_z: float) -> float:
+        """Return the change of σ at which the parabola with a ray's position, T and dT/dσ crosses the face.
+
+        Parameters
+        ----------
+        face : Any
+            Passed to `height_at`.
+        end : GradientRay
+        kick_x, kick_y, kick_z : float, mm⁻¹
+            dT/dσ.
+        """
+        change = 0.0
+        for _ in range(NEWTON_STEPS):
+            tx, ty, tz = end.tx + change * kick_x, end.ty + change * kick_y, end.tz + change * kick_z
+            x = end.x + 0.5 * change * (end.tx + tx)
+            y = end.y + 0.5 * change * (end.ty + ty)
+            z = end.z + 0.5 * change * (end.tz + tz)
+            height, by_x, by_y, by_z = height_at(face, x, y, z)
+            change -= height / (by_x * tx + by_y * ty + by_z * tz)
+        return change
+
+    return correction
 
 
 def tracer(value_at: Any, height_at: Any) -> Any:
@@ -209,20 +239,7 @@ def tracer(value_at: Any, height_at: Any) -> Any:
     -------
     reach : kernel
     """
-    advance, kick = stepper(value_at), _kicker(value_at)
-
-    @inlined
-    def correction(face: Any, end: GradientRay, kick_x: float, kick_y: float, kick_z: float) -> float:
-        """Return the change of σ at which the parabola with a ray's position, T and dT/dσ crosses the face."""
-        change = 0.0
-        for _ in range(NEWTON_STEPS):
-            tx, ty, tz = end.tx + change * kick_x, end.ty + change * kick_y, end.tz + change * kick_z
-            x = end.x + 0.5 * change * (end.tx + tx)
-            y = end.y + 0.5 * change * (end.ty + ty)
-            z = end.z + 0.5 * change * (end.tz + tz)
-            height, by_x, by_y, by_z = height_at(face, x, y, z)
-            change -= height / (by_x * tx + by_y * ty + by_z * tz)
-        return change
+    advance, kick, correction = stepper(value_at), kicker(value_at), corrector(height_at)
 
     @inlined
     def z_beside(face: Any, x: float, y: float) -> float:
@@ -272,7 +289,7 @@ def tracer(value_at: Any, height_at: Any) -> Any:
             if towards and count == steps and abs(change) <= NEAR * length:
                 if not by_z > 0.0:
                     return False, ray
-                return True, _drift(kick(field, number, _drift(end, 0.5 * change), change), 0.5 * change)
+                return True, drift(kick(field, number, drift(end, 0.5 * change), change), 0.5 * change)
             if sense * height <= 0.0:
                 low = length
             else:

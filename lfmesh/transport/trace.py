@@ -25,6 +25,7 @@ from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.sources.face_starts import before_faces
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
+from lfmesh.transport.tables.gradient_spaces import gradient_spaces, has_gradients
 from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.lens import with_diffraction
@@ -193,6 +194,8 @@ def _options(
         raise LfmeshError(f"surface = {level!r}: use one of {', '.join(SURFACE_LEVEL)}")
     if level != "exact" and has_phases(world.scene):
         raise LfmeshError(f'surface = {level!r}: phases of the camera need exact surfaces; use "exact"')
+    if level != "exact" and has_gradients(world.scene):
+        raise LfmeshError(f'surface = {level!r}: rays in gradient-index glass end on exact surfaces; use "exact"')
     if not 1 <= depth <= MOST_EVENTS:
         raise LfmeshError(f"max_events = {shown(depth)}: must be from 1 to {MOST_EVENTS}")
     if not 0.0 <= cutoff <= 1.0:
@@ -304,7 +307,10 @@ def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
         objects = objects._replace(volumes=volumes, media=own)
     return tables._replace(
         lens=tables.lens._replace(
-            aperture=None, media=media(tables.lens.medium, world.media.table), interfaces=interfaces.lens
+            aperture=None,
+            media=media(tables.lens.medium, world.media.table),
+            interfaces=interfaces.lens,
+            gradients=gradient_spaces(world.scene, world.lens_shape, (wavelength_nm,)),
         ),
         mla=with_diffraction(
             world.scene, with_media(tables.mla, media(tables.mla.medium), interfaces=interfaces.mla), (wavelength_nm,)

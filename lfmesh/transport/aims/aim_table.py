@@ -27,6 +27,7 @@ from lfmesh.transport.aims.pupil import (
 )
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.sequences.stop_rays import CameraTables, CoverPlate
+from lfmesh.transport.tables.gradient_spaces import is_revolved_by_gradients, unposed
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.phase_faces import is_revolved_by_phase, spreads_light
 from lfmesh.transport.tables.tables import (
@@ -146,7 +147,11 @@ def aim_table(scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, 
         # Rays from near points go everywhere; rays from glass are aimed only at a disk.
         front_radius = widest_disk(lens, seen, front=True, nearest=near.depth)
     from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True, near=near)
-    revolved = all(map(is_revolved, lens.surfaces)) and is_revolved_by_phase(lens.interfaces)
+    revolved = (
+        all(map(is_revolved, lens.surfaces))
+        and is_revolved_by_phase(lens.interfaces)
+        and is_revolved_by_gradients(lens.gradients)
+    )
     posed = has_poses(lens) or not revolved
     entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True, near=near)
     if near is not None and disks is not None:
@@ -258,7 +263,7 @@ def without_poses(lens: LensTables) -> LensTables:
     """Return the tables of a lens in its prescribed place."""
     surfaces = lens.surfaces.copy()
     surfaces["posed"] = 0
-    return lens._replace(surfaces=surfaces, stop_posed=False)
+    return lens._replace(surfaces=surfaces, stop_posed=False, gradients=unposed(lens.gradients))
 
 
 def opening_seen(

@@ -35,6 +35,7 @@ from lfmesh.transport.sequences.bundle import (
 )
 from lfmesh.transport.sequences.lens_surfaces import at_surface
 from lfmesh.transport.sequences.ray_tables import unread_book
+from lfmesh.transport.tables.gradient_spaces import without_edges
 from lfmesh.transport.tables.phase_faces import weighing
 from lfmesh.transport.tables.tables import Disks, LensTables, Opening
 
@@ -379,12 +380,13 @@ def _obstruction(seen: Viewpoints, lens: LensTables, height: Array, distance: Ar
     # Rays from behind the lens go against the light.
     interfaces = weighing(lens.interfaces, importance=not seen.to_sensor)
     room, book = empty_bundle(ROWS + 1), unread_book(lens)
+    lens = lens._replace(surfaces=unbounded, interfaces=interfaces, gradients=without_edges(lens.gradients))
     least = np.full(x.size, np.inf)
     colours = lens.media.indices.shape[1]
     for colour in sorted({0, colours // 2, colours - 1}):
         _trace_unbounded(
             heights, distances, np.ascontiguousarray(x).reshape(-1), np.ascontiguousarray(y).reshape(-1), seen.plane_z,
-            seen.to_sensor, lens._replace(surfaces=unbounded, interfaces=interfaces), rims, colour, room, book, least,
+            seen.to_sensor, lens, rims, colour, room, book, least,
         )  # fmt: skip
     return least.reshape(x.shape)
 

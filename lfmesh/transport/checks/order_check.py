@@ -18,6 +18,7 @@ from lfmesh.transport.packets.packet import (
     BACK_FRAME,
     BY_MESH,
     BY_ORDER_OR_MESH,
+    CAMERA_FRAME,
     CELLS,
     CELLS_MESH,
     LENS,
@@ -107,6 +108,8 @@ class OrderCheck:
 def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.void]) -> OrderCheck:
     """Process packets waiting at lens and array by the order of the surfaces and by meshes; compare the outcomes.
 
+    Packets in gradient-index glass are left out: both ways follow the same curves there, which proves nothing.
+
     Parameters
     ----------
     world : World
@@ -115,6 +118,7 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
     packets : (n,) PACKET
         Wait for a surface of the lens (camera frame) or in a cell (frames of the array's faces).
     """
+    packets = packets[~_in_gradients(tables, packets)]
     found = outcomes(world, options, tables, packets)
     before = packets["weight"][found.by_order["source"]]
     turned = STANDING[OFF_IMAGE_PATH, np.delete(packets["path"], found.undecided)] == COUNTS
@@ -126,6 +130,14 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
         deviation_mm=float(found.deviation_mm.max(initial=0.0)),
         deviation=float((np.abs(found.by_order["weight"] - found.by_mesh["weight"]) / before).max(initial=0.0)),
     )
+
+
+def _in_gradients(tables: Tables, packets: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Return a mask of packets in gradient-index glass of the lens, whose faces no mesh finds."""
+    if tables.lens.gradients is None:
+        return np.zeros(len(packets), np.bool_)
+    in_lens = packets["frame"] == CAMERA_FRAME
+    return np.asarray(in_lens & (tables.lens.gradients.number[np.where(in_lens, packets["space"], 0)] >= 0))
 
 
 class Outcomes(NamedTuple):

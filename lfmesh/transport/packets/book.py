@@ -76,6 +76,7 @@ MLA_WALL = _slot("mla wall")
 MLA_MASK = _slot("mla mask")
 LENS_FRONT = _slot("lens front")
 EVANESCENT = _slot("diffracted beyond a right angle")
+TURNED_BACK = _slot("turned back in gradient-index glass")
 
 FIXED = tuple(_fixed)
 """The slots that every scene has."""

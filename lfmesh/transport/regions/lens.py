@@ -13,10 +13,10 @@ from lfmesh.geometry.meshes.boxes import box_entry
 from lfmesh.geometry.meshes.levels import EXACT, PATCH
 from lfmesh.geometry.ray import ray_of
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.crossing import end, end_here, lose, move_packet, requery, too_deep, write_query
+from lfmesh.transport.events.crossing import end_here, lose, move_packet, requery, too_deep, write_query
 from lfmesh.transport.events.facets import next_query_from
-from lfmesh.transport.events.travel import arrive
-from lfmesh.transport.packets.book import HOUSING, LOST_CONTRADICTION, STOP
+from lfmesh.transport.events.gradient import in_gradient
+from lfmesh.transport.packets.book import HOUSING, LOST_CONTRADICTION
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     LENS_MESH,
@@ -63,7 +63,8 @@ from lfmesh.transport.regions.lens_block import (
     set_ray,
     split_block,
 )
-from lfmesh.transport.regions.lens_exits import absorb_at_ring, divide_at_surface, pass_by, stop_cuts
+from lfmesh.transport.regions.lens_exits import absorb_at_ring, divide_at_surface, is_cut, pass_by, stop_cuts
+from lfmesh.transport.regions.lens_gap import decide_in_gap, set_index_behind_face
 from lfmesh.transport.regions.lens_hits import (
     RING,
     bulges_everywhere,
@@ -73,7 +74,6 @@ from lfmesh.transport.regions.lens_hits import (
     first_of_all,
     is_conic,
     meets_at_facet,
-    radius2_at,
 )
 from lfmesh.transport.tables.tables import LensTables
 
@@ -182,6 +182,8 @@ def shade_lens(
                 if not block[HELD + i] > 0.0:
                     prim = found[first + i]
                     met[i] = _decide(block, i, wave[first + i], prim, lens, has_mla, frames, options, flow)
+        for i in range(count):
+            set_index_behind_face(lens.gradients, block, i, wave[first + i], met[i], lens)
         split_block(block)
         for i in range(count):
             if met[i] != NO_SURFACE:
@@ -282,7 +284,7 @@ def _meets_the_one_ahead(
         block[DX + i], block[DY + i], block[DZ + i] = packet.dx, packet.dy, packet.dz
     if cosine < GRAZING or x * x + y * y > lens.order[space, 8]:
         return _decide_in_order(block, i, packet, lens, has_mla, frames, options, flow)
-    if lens.stop_space == space and _is_cut(options, flow, frames, lens, packet, k, block[AT + i], x, y, z):
+    if lens.stop_space == space and is_cut(options, flow, frames, lens, packet, k, block[AT + i], x, y, z):
         return NO_SURFACE
     return k
 
@@ -297,6 +299,8 @@ def _decide_in_order(
     if packet.events >= options.max_events:
         too_deep(options, flow, frames, packet)
         return NO_SURFACE
+    if in_gradient(lens.gradients, space):
+        return decide_in_gap(lens.gradients, block, i, packet, lens, frames, options, flow)
     outside = space == 0 or space == len(lens.surfaces)
     if outside and (packet.dz < 0.0) == (space == 0) and abs(packet.dz) > lens.order[space, 9]:
         # It is steeper than the outermost surface, and moves away from it.
@@ -319,7 +323,7 @@ def _decide_in_order(
     if k == NO_SURFACE:
         pass_by(options, flow, frames, lens, has_mla, packet)
         return NO_SURFACE
-    if _is_cut(options, flow, frames, lens, packet, k, t, px, py, z):
+    if is_cut(options, flow, frames, lens, packet, k, t, px, py, z):
         return NO_SURFACE
     set_ray(block, i, packet)
     block[PX + i], block[PY + i], block[PZ + i] = px, py, z
@@ -338,7 +342,7 @@ def _prepare(
     is not steeper everywhere.
     """
     block[SENSE + i], block[TERMS + i] = 0.0, 0.0
-    if prim < 0 or packet.events >= options.max_events:
+    if prim < 0 or packet.events >= options.max_events or in_gradient(lens.gradients, packet.space):
         return NO_SURFACE
     facet = lens.facets[prim]
     k, space, last_space = facet.body, packet.space, len(lens.surfaces)
@@ -391,6 +395,8 @@ def _decide(
     if packet.events >= options.max_events and packet.tries == 0:
         too_deep(options, flow, frames, packet)
         return NO_SURFACE
+    if in_gradient(lens.gradients, packet.space):
+        return decide_in_gap(lens.gradients, block, i, packet, lens, frames, options, flow)
     facets, surfaces = lens.facets, lens.surfaces
     space, last_space = packet.space, len(surfaces)
     outside = space == 0 or space == last_space
@@ -437,7 +443,7 @@ def _decide(
     if k == RING:
         absorb_at_ring(options, flow, frames, lens, packet, t)
         return NO_SURFACE
-    if _is_cut(options, flow, frames, lens, packet, k, t, px, py, z):
+    if is_cut(options, flow, frames, lens, packet, k, t, px, py, z):
         return NO_SURFACE
     set_ray(block, i, packet)
     block[PX + i], block[PY + i], block[PZ + i] = px, py, z
@@ -448,35 +454,3 @@ def _decide(
         block[SIZE + i] = 0.0
     _set_sides(block, i, packet, k, lens)
     return k
-
-
-@kernel
-def _is_cut(
-    options: Options, flow: Flow, frames: Array, lens: LensTables, packet: Any,
-    k: int, t: float, x: float, y: float, z: float,
-) -> bool:  # fmt: skip
-    """Absorb a packet at the stop of its space, or at the mount around surface `k`; return True if absorbed.
-
-    Parameters
-    ----------
-    t : float, mm
-        Distance of the surface.
-    x, y, z : float, mm
-        Hit.
-    """
-    dx, dy, dz = packet.dx, packet.dy, packet.dz
-    space = packet.space
-    if lens.stop_space == space and packet.last != k:
-        cuts, at = stop_cuts(lens, x, y, z, dx, dy, dz)
-        # A ray that a user starts behind the stop does not cross it.
-        if cuts and (packet.last != NO_SURFACE or space == 0 or space == len(lens.surfaces) or -t < at < 0.0):
-            x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], x + at * dx, y + at * dy, z + at * dz)
-            end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, STOP, S_ABSORBED)
-            return True
-    rim = lens.surfaces[k].semi_diameter
-    if radius2_at(lens.surfaces[k], x, y, z) > rim * rim:
-        slot = lens.mount_slot[k]
-        x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], x, y, z)
-        end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
-        return True
-    return False

@@ -59,6 +59,7 @@ from lfmesh.transport.regions.lens_block import (
     incidence,
     set_child,
 )
+from lfmesh.transport.regions.lens_hits import radius2_at
 from lfmesh.transport.tables.tables import AIR, LensTables
 
 Array = NDArray[np.float64]
@@ -342,3 +343,39 @@ def absorb_at_ring(options: Options, flow: Flow, frames: Array, lens: LensTables
             slot, t = STOP, at
     x, y, z = travel(flow, lens.media, packet, lens.medium[packet.space], t)
     end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
+
+
+@kernel
+def is_cut(
+    options: Options, flow: Flow, frames: Array, lens: LensTables, packet: Any,
+    k: int, t: float, x: float, y: float, z: float,
+) -> bool:  # fmt: skip
+    """Absorb a packet at the stop of its space, or at the mount around surface `k`; return True if absorbed.
+
+    Parameters
+    ----------
+    options, flow, frames, lens, packet
+        As for `divide_at_surface`.
+    k : int
+        Number of the surface.
+    t : float, mm
+        Distance of the surface.
+    x, y, z : float, mm
+        Hit.
+    """
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    space = packet.space
+    if lens.stop_space == space and packet.last != k:
+        cuts, at = stop_cuts(lens, x, y, z, dx, dy, dz)
+        # A ray that a user starts behind the stop does not cross it.
+        if cuts and (packet.last != NO_SURFACE or space == 0 or space == len(lens.surfaces) or -t < at < 0.0):
+            x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], x + at * dx, y + at * dy, z + at * dz)
+            end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, STOP, S_ABSORBED)
+            return True
+    rim = lens.surfaces[k].semi_diameter
+    if radius2_at(lens.surfaces[k], x, y, z) > rim * rim:
+        slot = lens.mount_slot[k]
+        x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], x, y, z)
+        end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
+        return True
+    return False

@@ -46,6 +46,7 @@ from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
+from lfmesh.transport.tables.gradient_spaces import has_gradients
 from lfmesh.transport.tables.lines import FIRST
 from lfmesh.transport.tables.phase_faces import has_phases
 from lfmesh.transport.world import World
@@ -113,9 +114,9 @@ class Ahead:
         cached = any(map(is_cached, kernels))
         self._report = None if cached else report
         self._say()
-        # Polarised and diffracted light and phases have other kernels, and few scenes have them.
+        # Polarised and diffracted light, phases and gradients have other kernels, and few scenes have them.
         plain = not scene.transport.polarisation and scene.transport.diffraction == "none"
-        usual = plain and not has_phases(scene)
+        usual = plain and not has_phases(scene) and not has_gradients(scene)
         if processors() > 1 and usual and not cached:
             stations = ON_IMAGE_PATH if alone else EVERYWHERE
             glass = len(scene.bodies()) > 0

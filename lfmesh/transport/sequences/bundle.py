@@ -42,7 +42,9 @@ KEY, EVENTS_BEFORE = 40 * BLOCK, 41 * BLOCK
 KICK_X, KICK_Y, KICK_AT = 42 * BLOCK, 43 * BLOCK, 44 * BLOCK
 # At a face with a phase: the intersection point, mm, in the frame of the phase.
 PHASE_X, PHASE_Y = 45 * BLOCK, 46 * BLOCK
-ROWS = 47
+# At a face of gradient-index glass: the refractive indices on both sides of the intersection.
+INDEX_BEFORE, INDEX_BEHIND = 47 * BLOCK, 48 * BLOCK
+ROWS = 49
 
 DROPPED = -1.0
 """In place of slot + 1: the ray has left its path, and all its power was left behind."""

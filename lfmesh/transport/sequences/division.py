@@ -22,7 +22,7 @@ from lfmesh.optics.share_table import (
     side_of_table,
     variable_under_total_reflection,
 )
-from lfmesh.transport.events.interface import through_thin_lens
+from lfmesh.transport.events.interface import shares, through_thin_lens
 from lfmesh.transport.events.phase import (
     EVANESCENT,
     absorbed_at_phase,
@@ -46,6 +46,8 @@ from lfmesh.transport.sequences.bundle import (
     ENDED_ON,
     ETENDUE,
     FATE,
+    INDEX_BEFORE,
+    INDEX_BEHIND,
     LEFT_BEHIND,
     MET,
     NX,
@@ -345,6 +347,44 @@ def _through_phase(
         go_on(bundle, i, True, Ray(x, y, z, dx, dy, dz), bundle[FATE + i], share, taken)
     book[phases.slot[number, EVANESCENT_ORDERS]] += evanescent
     book[phases.slot[number, UNLISTED_ORDERS]] += unlisted
+    if absorbed != 0.0:
+        book[interfaces.rows[number].slot] += absorbed
+
+
+@inlined
+def divide_by_place(
+    gradients: Any, bundle: Array, interfaces: Interfaces, number: int, colour: int, outward: bool, mirrors: bool,
+    book: Array,
+) -> None:  # fmt: skip
+    """Take the rays of a bundle through a face of gradient-index glass, or reflect them there, as `divide` does.
+
+    The indices on both sides are those of the rows `INDEX_BEFORE` and `INDEX_BEHIND`.
+
+    Parameters
+    ----------
+    gradients : Any
+        Gradients of the region, or None: numba skips this code.
+    bundle, interfaces, number, colour, outward, mirrors, book
+        As for `divide`. The face is bare or coated.
+    """
+    if gradients is None:
+        return
+    absorbed = 0.0
+    for i in range(BLOCK):
+        dx, dy, dz, weight = bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i]
+        share, taken = 1.0, 0.0
+        if bundle[ENDED_ON + i] == 0.0 and bundle[FATE + i] == 0.0:
+            n_i, n_t, cos_i = bundle[INDEX_BEFORE + i], bundle[INDEX_BEHIND + i], _incidence(bundle, i)
+            reflectance, passed, cos_t = shares(interfaces, number, colour, n_i, n_t, cos_i, outward)
+            eta = 1.0 if mirrors else n_i / n_t
+            g = -2.0 * cos_i if mirrors else cos_t - eta * cos_i
+            share = reflectance if mirrors else passed
+            dx, dy, dz = eta * dx + g * bundle[NX + i], eta * dy + g * bundle[NY + i], eta * dz + g * bundle[NZ + i]
+            if interfaces.rows[number].kind == ABSORBING:
+                taken = weight * (1.0 - reflectance - passed)
+                absorbed += taken
+        x, y, z = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
+        go_on(bundle, i, True, Ray(x, y, z, dx, dy, dz), bundle[FATE + i], share, taken)
     if absorbed != 0.0:
         book[interfaces.rows[number].slot] += absorbed
 

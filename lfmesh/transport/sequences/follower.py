@@ -15,6 +15,7 @@ from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.vector import both, select
+from lfmesh.transport.events.gradient import in_gradient
 from lfmesh.transport.packets.book import HOUSING
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequences.bundle import (
@@ -151,7 +152,8 @@ def _along_lens(
         if lens.stop_space == space and (ends or k != last):
             through_stop(bundle, lens, colour, book)
         if checked:
-            find_return(bundle, lens, last if ends or k != last else -1, 1.0 if space == last else -1.0)
+            straight = (ends or k != last) and not in_gradient(lens.gradients, space)
+            find_return(bundle, lens, last if straight else -1, 1.0 if space == last else -1.0)
         if ends:
             break
         sense, mirrors = 1.0 if space == k else -1.0, steps[step, 1] != 0

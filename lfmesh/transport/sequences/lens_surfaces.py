@@ -1,7 +1,8 @@
 """Intersections of blocks of rays with lens surfaces, one function per shape.
 
 A new shape is a branch of `meet_surface`, which finds distance, point and normal for each ray of a bundle. Bare
-spheres, the most common surfaces, are intersected and refracted in one step if they have no phase.
+spheres, the most common surfaces, are intersected and refracted in one step if they have no phase and touch no
+gradient-index glass. Rays in that glass arrive along curves, see `gradient_gaps`.
 """
 
 from typing import Any
@@ -15,6 +16,7 @@ from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, fused, select
 from lfmesh.optics.fresnel import amplitude_sums, transmittance
+from lfmesh.transport.events.gradient import in_gradient
 from lfmesh.transport.events.phase import has_phase
 from lfmesh.transport.sequences.bundle import (
     AGAIN,
@@ -41,7 +43,8 @@ from lfmesh.transport.sequences.bundle import (
     absorb,
     move_bundle,
 )
-from lfmesh.transport.sequences.division import divide, go_on
+from lfmesh.transport.sequences.division import divide, divide_by_place, go_on
+from lfmesh.transport.sequences.gradient_gaps import arrive_from_gap, follow_gap, set_local_indices
 from lfmesh.transport.tables.tables import BARE, LensTables
 
 Array = NDArray[np.float64]
@@ -87,6 +90,9 @@ def at_surface(
         Receives light absorbed by glass and coating.
     """
     surface, into = lens.surfaces[k], 1 if sense > 0.0 else 0
+    curved = in_gradient(lens.gradients, k + 1 - into)
+    if curved:
+        follow_gap(bundle, lens, k + 1 - into, k, colour)
     if surface.posed:
         move_bundle(bundle, surface.unpose)
     nearest = -TOUCHING * max(abs(lens.box_low[2]), abs(lens.box_high[2]), lens.box_high[0])
@@ -95,16 +101,24 @@ def at_surface(
     indices = (media.indices[before, colour], media.indices[behind, colour])
     is_sphere = surface.terms == 0 and surface.conic == 0.0
     is_bare = lens.interfaces.rows[k].kind == BARE and not has_phase(lens.interfaces.phases, k)
-    if is_sphere and is_bare and not mirrors and _is_clear(media.absorption):
+    local = curved or in_gradient(lens.gradients, k + into)
+    if is_sphere and is_bare and not mirrors and _is_clear(media.absorption) and not local:
         _through_sphere(bundle, surface, sense, indices, fates, nearest, checked)
     else:
-        meet_surface(bundle, surface, sense)
-        _set_fates(bundle, surface.semi_diameter * surface.semi_diameter, fates, nearest)
-        if checked:
-            _check(bundle, surface.curvature if is_sphere else 0.0, surface.vertex_z)
+        if curved:
+            arrive_from_gap(lens.gradients, bundle, surface, sense, fates[1])
+        else:
+            meet_surface(bundle, surface, sense)
+            _set_fates(bundle, surface.semi_diameter * surface.semi_diameter, fates, nearest)
+            if checked:
+                _check(bundle, surface.curvature if is_sphere else 0.0, surface.vertex_z)
         absorb(bundle, media.absorption, before, colour, book)
         _place_on_axis(lens.interfaces.phases, bundle)
-        divide(bundle, lens.interfaces, k, colour, indices, sense < 0.0, mirrors, book)
+        if local:
+            set_local_indices(lens.gradients, bundle, lens, k, colour, into)
+            divide_by_place(lens.gradients, bundle, lens.interfaces, k, colour, sense < 0.0, mirrors, book)
+        else:
+            divide(bundle, lens.interfaces, k, colour, indices, sense < 0.0, mirrors, book)
     if surface.posed:
         move_bundle(bundle, surface.pose)
 

@@ -19,6 +19,7 @@ from lfmesh.transport.sequences.follower import (
 )
 from lfmesh.transport.sequences.sequences import Faces, Itinerary, image_path
 from lfmesh.transport.tables.cover import CoverTables
+from lfmesh.transport.tables.gradient_spaces import of_spaces, without_edges
 from lfmesh.transport.tables.phase_faces import of_faces, slots_of
 from lfmesh.transport.tables.tables import Camera, LensTables, MlaTables, Tables
 
@@ -112,6 +113,7 @@ def lens_of_faces(lens: LensTables, first: int, last: int) -> LensTables:
         interfaces=of_faces(lens.interfaces, first, last),
         ring_slot=lens.ring_slot[first : last + 1], mount_slot=lens.mount_slot[first:last],
         stop_space=stop_space if 0 <= stop_space <= last - first else -1,
+        gradients=of_spaces(lens.gradients, first, last),
     )  # fmt: skip
 
 
@@ -119,7 +121,7 @@ def without_apertures(lens: LensTables) -> LensTables:
     """Return the tables of a lens with unlimited apertures and an open stop."""
     surfaces = lens.surfaces.copy()
     surfaces["semi_diameter"] = np.inf
-    return lens._replace(surfaces=surfaces, stop_space=-1)
+    return lens._replace(surfaces=surfaces, stop_space=-1, gradients=without_edges(lens.gradients))
 
 
 def follow_route(camera: Camera, route: Route, rays: Array, legs: tuple[int, int], colour: int) -> Array:

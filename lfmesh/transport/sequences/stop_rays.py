@@ -23,6 +23,7 @@ from lfmesh.transport.sequences.follower import (
     image_route,
 )
 from lfmesh.transport.sequences.ray_tables import follow_route, lens_of_faces
+from lfmesh.transport.tables.gradient_spaces import fills_space
 from lfmesh.transport.tables.phase_faces import carrying, first_order
 from lfmesh.transport.tables.tables import (
     FACES_OF_ARRAY,
@@ -108,9 +109,11 @@ class CameraTables(NamedTuple):
 def reach_of(through: CameraTables, random: np.random.Generator) -> float:
     """Return the largest first-order distance from the sensor's centre of rays that reach the sensor.
 
-    0: none does.
+    0: none does, or none can be drawn, as the stop lies between gradient-index glass on both sides.
     """
     sensor = through.sensor
+    if _is_within_gradients(through.lens):
+        return 0.0
     diagonal = 0.5 * sensor.pixel * np.hypot(sensor.columns, sensor.rows)
     place = NEAREST * diagonal * (FURTHEST / NEAREST) ** random.random(BATCH)
     _, found = _trace_from_stop(through, place, random)
@@ -300,24 +303,39 @@ def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[f
     surfaces, indices = lens.surfaces, lens.media.indices[lens.medium, colour]
     heights, slopes = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0, 0.0])
     for k in range(space, len(surfaces)):
-        heights = heights + (float(surfaces[k]["vertex_z"]) - z) * slopes
+        before = indices[k]
+        if fills_space(lens.gradients, k):
+            a, b, c, d, behind = lens.gradients.paraxial[k, colour]
+            heights, slopes = a * heights + b * before * slopes, (c * heights + d * before * slopes) / behind
+            before = behind
+        else:
+            heights = heights + (float(surfaces[k]["vertex_z"]) - z) * slopes
         z = float(surfaces[k]["vertex_z"])
         power, deflection_x, deflection_y = first_order(lens.interfaces, k, colour)
-        power += (indices[k + 1] - indices[k]) * surfaces[k]["curvature"] + thin_lens_power(lens.interfaces, k)
-        slopes = (indices[k] * slopes - power * heights + [0.0, 0.0, deflection_x, deflection_y]) / indices[k + 1]
+        power += (indices[k + 1] - before) * surfaces[k]["curvature"] + thin_lens_power(lens.interfaces, k)
+        slopes = (before * slopes - power * heights + [0.0, 0.0, deflection_x, deflection_y]) / indices[k + 1]
     heights = heights + (plane_z - z) * slopes
     return float(heights[0]), float(heights[1]), heights[2:]
 
 
 def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
-    """Return the space that holds or touches the stop, and the stop's z, radius, largest sag and pose."""
+    """Return a space that holds or touches the stop, and the stop's z, radius, largest sag and pose.
+
+    Of two spaces beside a surface it is the one in front, unless gradient-index glass fills it: rays start straight.
+    """
     if lens.stop_space >= 0:
         return lens.stop_space, lens.stop_z, lens.stop_radius, 0.0, lens.stop_pose
     surfaces = lens.surfaces
     k = int(np.argmax(surfaces["stop"] == 1))
     rim = float(surfaces[k]["semi_diameter"])
     depth = max(map(abs, height_range(surfaces[k], rim)))
-    return k, float(surfaces[k]["vertex_z"]), rim, depth, np.array(surfaces[k]["pose"])
+    space = k + 1 if fills_space(lens.gradients, k) else k
+    return space, float(surfaces[k]["vertex_z"]), rim, depth, np.array(surfaces[k]["pose"])
+
+
+def _is_within_gradients(lens: LensTables) -> bool:
+    """Tell whether the spaces on both sides of the stop are filled by gradient-index glass."""
+    return fills_space(lens.gradients, _stop_of(lens)[0])
 
 
 @kernel

@@ -21,6 +21,7 @@ from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH
 from lfmesh.optics.bounds import SLOPE, profile_extremes
 from lfmesh.optics.diffraction import HEXAGON, RECTANGLE, ROUND, airy_quantiles, hexagon_cells, sinc2_quantiles
 from lfmesh.scene import MicrolensArray, Scene
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
 from lfmesh.transport.packets.packet import (
     BACK_CELLS,
@@ -32,6 +33,7 @@ from lfmesh.transport.packets.packet import (
     CURVED_FACE,
     MLA_FRAME,
 )
+from lfmesh.transport.tables.gradient_spaces import gradient_spaces
 from lfmesh.transport.tables.media import MediumList, with_media
 from lfmesh.transport.tables.phase_faces import refuse_diffracting_phases
 from lfmesh.transport.tables.tables import (
@@ -127,6 +129,7 @@ def lens_tables(
         order=order,
         ordered=ordered,
         by_roots=by_roots,
+        gradients=gradient_spaces(scene, shape, wavelengths_nm),
     )
 
 
@@ -168,7 +171,7 @@ def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[n
         The surfaces of the space are exact conics without a pose, so that their roots decide the first hit.
     ordered : (K + 1,) bool
         The first hit of some rays is known without the mesh: of rays steeper than the surfaces and, between conics, of
-        rays decided by the roots.
+        rays decided by the roots. In gradient-index glass that of all rays is, but no straight line finds it.
     """
     count, surfaces = len(shape.caps), shape.surfaces
     conic = (surfaces["level"] == EXACT) & (surfaces["terms"] == 0)
@@ -183,8 +186,10 @@ def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[n
     least = np.array([least_dz(s, rim) for s, rim in zip(surfaces, shape.rims, strict=True)])
     order[:, 10], order[:, 11] = [0.0, *least], [*least, 0.0]
     order[:, 9] = np.maximum(order[:, 10], order[:, 11])
-    by_roots = _everywhere(conic & (surfaces["posed"] == 0))
-    return order, by_roots, _everywhere(conic) | (order[:, 9] < 1.0)
+    straight = np.array([not isinstance(medium, Gradient) for medium in shape.media])
+    order[~straight, 9] = np.inf
+    by_roots = _everywhere(conic & (surfaces["posed"] == 0)) & straight
+    return order, by_roots, _everywhere(conic) | (order[:, 9] < 1.0) | ~straight
 
 
 def _everywhere(holds: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -85,6 +85,7 @@ class LensTables(NamedTuple):
     ordered: NDArray[np.bool_]  # (K + 1,) whether the surface is known without a mesh for some rays in a space
     by_roots: NDArray[np.bool_]  # (K + 1,) whether all surfaces of a space are exact conics without a pose
     aperture: Any = None  # Apertures if the stop diffracts: code for that is not even compiled otherwise
+    gradients: Any = None  # GradientSpaces if gradient-index glass fills a space, else None, likewise
 
 
 @by_address

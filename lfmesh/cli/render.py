@@ -67,6 +67,11 @@ def check(scene: SceneFile, /) -> int:
         from lfmesh.scene.first_order.phase_lines import phase_lines
 
         lines += phase_lines(solved_camera(loaded).scene)
+    camera = solved_camera(loaded).scene
+    if any(True for _ in camera.gradients()):
+        from lfmesh.scene.first_order.gradient_lines import gradient_lines
+
+        lines += gradient_lines(camera)
     for placement in placements(loaded):
         lines += placement.lines()
     # Refuse what a render would refuse.

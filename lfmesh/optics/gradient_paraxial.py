@@ -18,6 +18,8 @@ from lfmesh.optics.gradient_shapes import REVOLVED, GradientProfile, paraxial_at
 Array = NDArray[np.float64]
 GapMatrix = tuple[float, float, float, float]
 
+_UNIT: GapMatrix = (1.0, 0.0, 0.0, 1.0)
+
 NODES = np.array([0.5 - sqrt(0.15), 0.5, 0.5 + sqrt(0.15)])
 """Gauss nodes of a step, as fractions of its length."""
 
@@ -66,14 +68,33 @@ def gap_matrix(profile: GradientProfile, length_mm: float, *, section_x: bool = 
     GlassError
         The formula gives no real index on the axis within the gap, or changes too fast along it.
     """
+    return gap_and_sizes(profile, length_mm, section_x=section_x)[0]
+
+
+def gap_and_sizes(
+    profile: GradientProfile, length_mm: float, *, section_x: bool = False
+) -> tuple[GapMatrix, GapMatrix]:  # fmt: skip
+    """Return the matrix of a gap, and the sizes to which the rounding errors of its elements are relative.
+
+    Parameters
+    ----------
+    profile, length_mm, section_x
+        As in `gap_matrix`.
+    """
     if length_mm == 0.0:
-        return 1.0, 0.0, 0.0, 1.0
+        return _UNIT, _UNIT
+    index, rate = _along_axis(profile, np.linspace(0.0, length_mm, FEWEST_STEPS + 1), section_x)
+    # A zero of b or c, as of a rod of half a period, is a difference of terms of these sizes.
+    sizes = 1.0, float(length_mm / index.min()), float(length_mm * np.abs(rate / index).max()), 1.0
+    matrix = _matrix(profile, length_mm, section_x, sizes)
+    a, b, c, d = (max(size, abs(element)) for size, element in zip(sizes, matrix, strict=True))
+    return matrix, (a, b, c, d)
+
+
+def _matrix(profile: GradientProfile, length_mm: float, section_x: bool, sizes: GapMatrix) -> GapMatrix:
     if profile.kind == REVOLVED and not profile.numbers.reshape(profile.counts[:2])[:, 1:].any():
         index, rate = (float(each[0]) for each in _along_axis(profile, np.zeros(1), section_x))
         return _exponential(0.0, length_mm / index, length_mm * rate / index)
-    index, rate = _along_axis(profile, np.linspace(0.0, length_mm, FEWEST_STEPS + 1), section_x)
-    # A zero of b or c, as of a rod of half a period, must not ask for more than rounding allows.
-    sizes = 1.0, length_mm / index.min(), length_mm * np.abs(rate / index).max(), 1.0
     steps = FEWEST_STEPS
     coarse, fine = (_followed(profile, length_mm, section_x, each) for each in (steps, 2 * steps))
     while not all(
@@ -119,7 +140,7 @@ def _followed(profile: GradientProfile, length_mm: float, section_x: bool, steps
     c2 = _scaled(-1.0 / 60.0, _commutator(first, _sum(_scaled(2.0, third), c1)))
     inner = _commutator(_sum(_scaled(-20.0, first), _scaled(-1.0, third), c1), _sum(second, c2))
     exponents = _sum(first, _scaled(1.0 / 12.0, third), _scaled(1.0 / 240.0, inner))
-    total = 1.0, 0.0, 0.0, 1.0
+    total = _UNIT
     for a, b, c in zip(*exponents, strict=True):
         total = _product(_exponential(float(a), float(b), float(c)), total)
     return total

@@ -332,6 +332,18 @@ def _trace(
         rays[i, 6], rays[i, 7] = end.path, end.length
 
 
+@kernel
+def _advance(gradients: Gradients, number: int, rays: Array, lengths: Array, steps: int) -> None:
+    for i in range(len(rays)):
+        ray = GradientRay(
+            rays[i, 0], rays[i, 1], rays[i, 2], rays[i, 3], rays[i, 4], rays[i, 5], rays[i, 6], rays[i, 7]
+        )  # fmt: skip
+        end = advance(gradients, number, ray, lengths[i] / steps, steps)
+        rays[i, 0], rays[i, 1], rays[i, 2] = end.x, end.y, end.z
+        rays[i, 3], rays[i, 4], rays[i, 5] = end.tx, end.ty, end.tz
+        rays[i, 6], rays[i, 7] = end.path, end.length
+
+
 def starting_rays(gradients: Gradients, number: int, points: ArrayLike, directions: ArrayLike) -> Array:
     """Return rays inside a medium as rows of `GradientRay`, (n, 8), with paths and lengths 0.
 
@@ -371,6 +383,26 @@ def traced(
     reached = np.zeros(len(ends), np.bool_)
     _trace(gradients, number, ends, reached, face, sense, steps)
     return reached, ends
+
+
+def advanced(gradients: Gradients, number: int, rays: ArrayLike, lengths: ArrayLike, steps: int) -> Array:
+    """Return the rays of a block after given lengths, (n, 8).
+
+    Parameters
+    ----------
+    gradients : Gradients
+    number : int
+        Row of the profile.
+    rays : (n, 8) array_like
+        Rows of `GradientRay`.
+    lengths : (n,) array_like, mm
+        Lengths in σ, the geometric length over the index; negative to go back.
+    steps : int
+        Number of equal steps of each ray.
+    """
+    ends = np.array(rays, np.float64, ndmin=2)
+    _advance(gradients, number, ends, np.ascontiguousarray(lengths, np.float64), steps)
+    return ends
 
 
 def steps_needed(trace: Callable[[int], tuple[NDArray[np.bool_], Array]], tolerance_mm: float) -> int:

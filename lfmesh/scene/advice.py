@@ -252,6 +252,11 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         yield "the lens has surfaces that are meshes: clear apertures were compared with the paraxial axial beam only"
     elif any(any(each.pose.shift_mm) or any(each.pose.tilt_deg) for each in camera.lens.elements):
         yield "the lens has posed elements: clear apertures were compared with the axial beam of the prescription only"
+    elif camera.lens.has_gradients:
+        yield (
+            "the lens has gradient-index glass: clear apertures were compared with traced rays of the axial beam, "
+            "without proof for the rays between these"
+        )
     if not beam.found_mm:
         yield "the stop is larger than the glass and limits no light: no ray along the axis reaches its edge"
 

@@ -7,6 +7,10 @@ from lfmesh.errors import GlassError, SceneError
 from lfmesh.optics.glass import AIR, absorption_per_mm, catalogue_name, refractive_index
 from lfmesh.optics.glass import Medium as GlassOrAir
 from lfmesh.optics.metals import metal_index
+from lfmesh.scene.camera.gradient import Gradient
+from lfmesh.scene.camera.mla import MicrolensArray
+from lfmesh.scene.camera.surface import Surface
+from lfmesh.scene.gradient_faults import gradient_faults
 from lfmesh.scene.light.spectra import Spectrum, curve_of
 from lfmesh.scene.literals import counted
 from lfmesh.scene.materials.coatings import name_fault, unknown_fault
@@ -43,6 +47,7 @@ def scene_faults(scene: SceneParts) -> Iterator[Fault]:
     yield from _polarisation_faults(scene)
     yield from _diffraction_faults(scene)
     yield from _phase_faults(scene) if not glasses else ()
+    yield from gradient_faults(scene)
     yield from _memory_faults(scene)
 
 
@@ -231,7 +236,7 @@ def _diffraction_faults(scene: SceneParts) -> Iterator[Fault]:
 
 def _glass_faults(scene: SceneParts) -> Iterator[Fault]:
     media: list[tuple[Location, GlassOrAir]] = [
-        (("camera", "lens", "surfaces", i, "glass"), surface.medium)
+        (("camera", "lens", "surfaces", i, _medium_key(surface)), surface.medium)
         for i, surface in enumerate(scene.camera.lens.surfaces)
     ]
     for place, outside in ((("camera",), scene.camera), (("camera", "lens"), scene.camera.lens)):
@@ -249,7 +254,7 @@ def _glass_faults(scene: SceneParts) -> Iterator[Fault]:
         media += [(("tanks", i, "wall", "glass"), tank.wall.medium)]
         media += [(("tanks", i, "liquid", "glass"), tank.liquid.medium)]
     if scene.camera.mla is not None:
-        media.append((("camera", "mla", "glass"), scene.camera.mla.medium))
+        media.append((("camera", "mla", _medium_key(scene.camera.mla)), scene.camera.mla.medium))
     if scene.camera.sensor.cover is not None:
         media.append((("camera", "sensor", "cover", "glass"), scene.camera.sensor.cover.medium))
     for i, target in enumerate(scene.targets):
@@ -260,13 +265,20 @@ def _glass_faults(scene: SceneParts) -> Iterator[Fault]:
             except GlassError as error:
                 yield Fault(("targets", i, "material", "gloss", "metal"), None, str(error))
                 break
+    ends = {where: length for where, _, length in scene.gradients()}
     for where, medium in media:
         for wavelength in _checked_nm(scene):
             try:
                 refractive_index(medium, wavelength)
+                if isinstance(medium, Gradient):
+                    medium.index_on_axis(wavelength, ends[where])
             except GlassError as error:
                 yield Fault(where, None, str(error))
                 break
+
+
+def _medium_key(part: Surface | MicrolensArray) -> str:
+    return "glass" if part.gradient is None else "gradient"
 
 
 def _absorption_faults(scene: SceneParts) -> Iterator[Fault]:
@@ -320,11 +332,11 @@ def _lenslet_faults(scene: SceneParts) -> Iterator[Fault]:
         n, outside = (refractive_index(each, wavelength) for each in (plate, behind))
         # The ratio of two numbers that differ in the last digit can be 1.
         if not n / outside > 1.0:
-            medium = "index" if mla.index is not None else "glass"
+            medium = "index" if mla.index is not None else _medium_key(mla)
             beside = "the air" if outside == AIR else "the medium behind the lens"
             at = f" at {wavelength:g} nm" if wavelength != scene.primary_nm else ""
             yield Fault(
-                ("camera", "mla", medium), getattr(mla, medium),
+                ("camera", "mla", medium), None if mla.gradient is not None else getattr(mla, medium),
                 f"has the index {n:.6g} beside {beside}{at}; lenslets need an index above {outside:.6g}",
             )  # fmt: skip
             return

@@ -10,6 +10,7 @@ from lfmesh.errors import SceneError
 from lfmesh.optics.glass import Medium as GlassOrAir
 from lfmesh.scene.camera.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.phase import Phase
 from lfmesh.scene.inputs import file_stamp, found
 from lfmesh.scene.light.lights import Light
@@ -239,6 +240,24 @@ class SceneParts(Model):
             plate = in_air(mla, air).medium
             for key, phase in mla.phases.items():
                 yield ("camera", "mla", key), phase, before, plate
+
+    def gradients(self) -> Iterator[tuple[Location, Gradient, float]]:
+        """Yield the location of each gradient-index glass, the glass, and its length between two vertices in mm.
+
+        Yields
+        ------
+        location : tuple of str and int
+            Keys from the scene's root.
+        gradient : Gradient
+        length_mm : float
+        """
+        for i, surface in enumerate(self.camera.lens.surfaces):
+            if surface.gradient is not None:
+                where = ("camera", "lens", "surfaces", i, "gradient")
+                yield where, surface.gradient, surface.thickness_mm or 0.0
+        mla = self.camera.mla
+        if mla is not None and mla.gradient is not None:
+            yield ("camera", "mla", "gradient"), mla.gradient, mla.thickness_mm
 
     def rough_in_camera(self) -> list[Location]:
         """Return the locations of finishes that scatter light on the lens and array.

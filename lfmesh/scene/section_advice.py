@@ -34,9 +34,16 @@ def _between_sections(scene: Scene) -> Iterator[str]:
                 f"the phase of surface {i} turns light on the axis by {turn:.4g} degrees. First-order figures ignore "
                 "this turn, and light may fall beside apertures, array and sensor"
             )
+        if surface.gradient is not None and surface.gradient.turns_axis:
+            yield (
+                f"the gradient behind surface {i} turns light on the axis. First-order figures ignore this turn, and "
+                "light may fall beside apertures, array and sensor"
+            )
         if not surface.is_symmetric:
+            parts = {"the phase of": surface.phase, "the gradient behind": surface.gradient}
+            part = next((words for words, each in parts.items() if each is not None and not each.symmetric), None)
             key = surface.section_key
-            which = f"the phase of surface {i} is" if key is None else f"surface {i} is a {key},"
+            which = f"{part} surface {i} is" if key is None else f"surface {i} is a {key},"
             yield (
                 f"{which} not symmetric about x and y. First-order figures and "
                 "omitted clear apertures are computed from the sections along x and y only. Light between them may "

@@ -83,11 +83,11 @@ def _landing_errors(
         carried[number] = to_image
         to_image = paraxial.refraction(number).then(to_image)
         if number:
-            to_image = gap(paraxial.gaps_mm[number - 1], paraxial.indices[number]).then(to_image)
+            to_image = paraxial.gap(number - 1).then(to_image)
     errors = []
     for number, surface, cap in zip(numbers, surfaces, caps, strict=True):
         tilt, height = facet_errors(surface, cap, level)
-        n_i, n_t = paraxial.indices[number], paraxial.indices[number + 1]
+        n_i, n_t = paraxial.index_before(number), paraxial.indices[number + 1]
         # A typical ray meets the surface halfway out, at its slope there.
         incidence = float(steepness(surface, 0.5 * surface["semi_diameter"]))
         sideways = height * incidence * abs(n_t - n_i) / n_t

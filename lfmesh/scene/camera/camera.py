@@ -5,7 +5,9 @@ from typing import Literal
 
 from pydantic import Field
 
+from lfmesh.errors import SceneError
 from lfmesh.optics.glass import Medium, refractive_index
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.mla import MicrolensArray
 from lfmesh.scene.camera.sensor import Sensor
@@ -106,5 +108,12 @@ class Camera(Model):
         Returns
         -------
         float
+
+        Raises
+        ------
+        SceneError
+            The plate has a gradient, and so has no single index.
         """
+        if isinstance(medium, Gradient):
+            raise SceneError("camera.mla.gradient: not supported here; give a homogeneous plate, by index or glass")
         return refractive_index(medium, wavelength_nm) / self.image_index(wavelength_nm)

@@ -162,6 +162,11 @@ class Gradient(Model):
         """Second derivatives by x and by y at the vertex, up to a common factor."""
         return 1.0, 1.0
 
+    @property
+    def turns_axis(self) -> bool:
+        """True if light along the axis is turned away from it."""
+        return False
+
     def in_words(self) -> str:
         """Return the kind, and the index at the vertex for the d line.
 
@@ -288,6 +293,11 @@ class XyzGradient(DispersiveGradient):
     def curvatures(self) -> tuple[float, float]:
         """Second derivatives by x and by y at the vertex, up to a common factor."""
         return sum(self.x_coefficients[1:2]), sum(self.y_coefficients[1:2])
+
+    @property
+    def turns_axis(self) -> bool:
+        """True if there are terms in x or y."""
+        return any((*self.x_coefficients[:1], *self.y_coefficients[:1]))
 
     def _shape(self, wavelength_nm: float) -> GradientProfile:
         return separable_profile(

@@ -307,6 +307,11 @@ class Lens(Model):
         return any(surface.mesh is not None or surface.refractor is not None for surface in self.surfaces)
 
     @property
+    def has_gradients(self) -> bool:
+        """True if there is gradient-index glass between some surfaces."""
+        return any(surface.gradient is not None for surface in self.surfaces)
+
+    @property
     def number_off_revolution(self) -> int | None:
         """Number of the first surface without rotational symmetry, or None."""
         return next((i for i, surface in enumerate(self.surfaces) if surface.asymmetric_key is not None), None)

@@ -4,15 +4,17 @@ The faces towards the lens and the sensor have the powers φ₁ and φ₂, the p
 instance Hecht, Optics, section 6.1) the power is φ = φ₁ + φ₂ − φ₁ φ₂ t/n. The front principal point lies φ₂/φ · t/n
 behind the first face, the rear one φ₁/φ · t/n before the second, as in the medium outside. A cylinder has power in one
 section only. Only ratios of indices count: n is the plate's index over that of the medium between lens and sensor. The
-phase of a face adds its power, over the index of that medium.
+phase of a face adds its power, over the index of that medium. A plate with a gradient has the paraxial matrix of its
+gap in place of t/n.
 """
 
 import math
 from typing import NamedTuple
 
 from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.mla import MicrolensArray
-from lfmesh.scene.first_order.paraxial import quotient
+from lfmesh.scene.first_order.paraxial import Matrix, gradient_gap, quotient
 
 
 class LensletOptics(NamedTuple):
@@ -58,8 +60,10 @@ def lenslet_optics(camera: Camera, wavelength_nm: float, kind: int = 0, section:
     """
     mla = camera.mla
     assert mla is not None
-    n = camera.relative_index(mla.medium, wavelength_nm)
     section = section or mla.main_section
+    if mla.gradient is not None:
+        return _through_gradient(mla, mla.gradient, camera.image_index(wavelength_nm), wavelength_nm, (kind, section))
+    n = camera.relative_index(mla.medium, wavelength_nm)
     assert mla.radius_mm is not None
     main = 0.0 if mla.cylinder_axis == section else (n - 1) / mla.radius_mm[kind]
     other = 0.0
@@ -81,10 +85,47 @@ def lenslet_optics(camera: Camera, wavelength_nm: float, kind: int = 0, section:
     return LensletOptics(power, quotient(second * reduced, power), quotient(first * reduced, power))
 
 
+def _through_gradient(
+    mla: MicrolensArray, gradient: Gradient, outside: float, wavelength_nm: float, which: tuple[int, str]
+) -> LensletOptics:
+    """Return the first-order optics of a lenslet of gradient-index glass, from the matrix of its faces and gap.
+
+    Parameters
+    ----------
+    mla : MicrolensArray
+        With radii.
+    gradient : Gradient
+    outside : float
+        Index of the medium around the plate.
+    wavelength_nm : float
+    which : tuple of int and str
+        Lenslet type and section.
+    """
+    kind, section = which
+    assert mla.radius_mm is not None
+    own, opposite = (0.0 if mla.cylinder_axis == section else 1.0 / mla.radius_mm[kind]), 0.0
+    if mla.back is not None and mla.back.cylinder_axis != section:
+        opposite = 1.0 / mla.back.radius_mm
+    # Positive where the face bulges out of the plate.
+    first, second = (own, opposite) if mla.curved_side == "lens" else (opposite, own)
+    within = gradient_gap(gradient, wavelength_nm, mla.thickness_mm, section == "x")
+    start = gradient.index_at(wavelength_nm)
+    whole = Matrix(1.0, 0.0, -(start - outside) * first, 1.0).then(within.matrix)
+    whole = whole.then(Matrix(1.0, 0.0, -(within.end_index - outside) * second, 1.0))
+    power = -whole.c
+    if power == 0.0:
+        return LensletOptics(0.0, 0.0, whole.b * outside)
+    front, rear = outside * (1.0 - whole.d) / power, outside * (1.0 - whole.a) / power
+    return LensletOptics(power / outside, front, rear)
+
+
 def sections(mla: MicrolensArray) -> tuple[str, ...]:
     """Return the distinct sections of an array's lenslets: "x" and "y" if their power differs, else only "x"."""
     differ = mla.cylinder_axis is not None or (mla.back is not None and mla.back.cylinder_axis is not None)
     for phase in mla.phases.values():
         in_x, _, in_y = phase.curvature_rad_mm2
+        differ = differ or in_x != in_y
+    if mla.gradient is not None:
+        in_x, in_y = mla.gradient.curvatures
         differ = differ or in_x != in_y
     return ("x", "y") if differ else ("x",)

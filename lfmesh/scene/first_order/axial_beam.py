@@ -13,6 +13,7 @@ from lfmesh.optics.ray_aiming import continue_rays
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.first_order.beam_bounds import Beam
+from lfmesh.scene.first_order.gradient_rays import GradientSpace, space_behind
 from lfmesh.scene.first_order.phase_turns import turn_by_phase
 from lfmesh.scene.first_order.skew_bounds import widest_mm
 
@@ -46,7 +47,8 @@ def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, clear_mm: ArrayL
     Returns
     -------
     Beam
-        Without heights if no ray reaches the rim of the stop.
+        Without heights if no ray reaches the rim of the stop. Through gradient-index glass, nothing is proven beyond
+        the traced rays.
     """
     stop = lens.stop_index or 0
     radius = lens.surfaces[stop].semi_diameter_mm or math.nan
@@ -68,6 +70,8 @@ def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, clear_mm: ArrayL
     goes_on = np.isfinite(met[:-1]) & np.isfinite(met[1:])
     ends = ~goes_on & np.logical_and.accumulate(np.vstack([goes_on[:1] | True, goes_on]))[:-1]
     found[ends[:, np.isfinite(met[stop])].any(axis=1)] = np.inf
+    if lens.has_gradients:
+        return Beam([float(each) for each in found], [float(each) for each in found])
     return widest_mm(lens, wavelength_nm, object_mm, np.abs(rays.start).max(axis=0), found, clear_mm)
 
 
@@ -88,22 +92,52 @@ def _crossings(lens: Lens, wavelength_nm: float, object_mm: float, entry: Array)
     p, met = np.column_stack([entry, np.zeros(len(entry))]), []
     d = np.column_stack([entry / object_mm, np.ones(len(entry))])
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    indices = [refractive_index(medium, wavelength_nm) for medium in lens.media]
+    media, space = [refractive_index(medium, wavelength_nm) for medium in lens.media], None
+    before: float | Array = media[0]
     with np.errstate(all="ignore"):
-        for number, (surface, vertex) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True)):
-            p = _met(surface, p - np.array([0.0, 0.0, vertex]), d)
+        for surface, vertex, index in zip(lens.surfaces, lens.vertices_mm, media[1:], strict=True):
+            behind: float | Array = index
+            p = p - np.array([0.0, 0.0, vertex])
+            if space is not None:
+                p, d, before = _through(space, surface, p, d)
+            p = _met(surface, p, d)
             met.append(p[:, :2])
+            space = space_behind(surface, wavelength_nm)
+            if space is not None:
+                behind = space.index_at(p)[:, None]
             if surface.paraxial:
                 d = d / d[:, 2:] - np.pad(surface.thin_lens_power_per_mm * p[:, :2], ((0, 0), (0, 1)))
                 d /= np.linalg.norm(d, axis=1, keepdims=True)
             elif surface.phase is None:
-                d = _bent(_normal(surface, p), d, indices[number] / indices[number + 1])
+                d = _bent(_normal(surface, p), d, before / behind)
             else:
                 turn = turn_by_phase(surface.phase, wavelength_nm, p[:, 0], p[:, 1])
-                d = _turned(_normal(surface, p), indices[number] * d, turn, indices[number + 1])
+                d = _turned(_normal(surface, p), before * d, turn, behind)
+            before = behind
             p = p + np.array([0.0, 0.0, vertex])
         met.append(d[:, :2] / d[:, 2:])
     return np.stack(met)
+
+
+def _through(space: GradientSpace, surface: Surface, p: Array, d: Array) -> tuple[Array, Array, Array]:
+    """Return the straight rays that end on a surface as those through gradient-index glass do.
+
+    Parameters
+    ----------
+    space : GradientSpace
+        Glass before the surface.
+    surface : Surface
+    p, d : (n, 3) float64
+        Points on the face in front of the glass, from the vertex of `surface`, and directions.
+
+    Returns
+    -------
+    tuple of (n, 3), (n, 3) and (n, 1) float64
+        Points at the end and directions, and the indices there; NaN of rays that do not reach the surface.
+    """
+    front = np.array([0.0, 0.0, space.length_mm])
+    p, d = space.followed(p + front, d, lambda at, along: _met(surface, at - front, along) + front)
+    return p - front, d, space.index_at(p)[:, None]
 
 
 def _met(surface: Surface, p: Array, d: Array) -> Array:
@@ -131,14 +165,14 @@ def _normal(surface: Surface, p: Array) -> Array:
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
-def _bent(normal: Array, d: Array, ratio: float) -> Array:
-    """Return refracted directions, NaN under total reflection."""
-    cosine = (normal * d).sum(axis=1)
+def _bent(normal: Array, d: Array, ratio: float | Array) -> Array:
+    """Return refracted directions, NaN under total reflection; the ratio of the indices is one, or (n, 1)."""
+    cosine = (normal * d).sum(axis=1, keepdims=True)
     along = np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2)) - ratio * cosine
-    return np.asarray(ratio * d + along[:, None] * normal)
+    return np.asarray(ratio * d + along * normal)
 
 
-def _turned(normal: Array, optical: Array, turn: Array, index: float) -> Array:
+def _turned(normal: Array, optical: Array, turn: Array, index: float | Array) -> Array:
     """Return directions behind a phase, NaN of evanescent light.
 
     Parameters
@@ -148,7 +182,7 @@ def _turned(normal: Array, optical: Array, turn: Array, index: float) -> Array:
         Index times direction before the surface.
     turn : (n, 2) float64
         Its change along x and y.
-    index : float
+    index : float or (n, 1) float64
         Behind the surface.
     """
     optical = optical + np.pad(turn, ((0, 0), (0, 1)))

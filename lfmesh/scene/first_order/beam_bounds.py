@@ -29,6 +29,7 @@ from lfmesh.optics.bounds import (
 from lfmesh.optics.glass import refractive_index
 from lfmesh.optics.phase_ranges import meridian_phase
 from lfmesh.optics.phase_shapes import PhaseProfile
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.surface import Surface
 
@@ -171,6 +172,19 @@ def widest_mm(
     return found, all_pass and not len(low)
 
 
+def known_indices(lens: Lens, wavelength_nm: float) -> list[float]:
+    """Return the index before the first surface and behind each; NaN of gradient-index glass, so nothing is proven.
+
+    Parameters
+    ----------
+    lens : Lens
+    wavelength_nm : float
+    """
+    return [
+        math.nan if isinstance(medium, Gradient) else refractive_index(medium, wavelength_nm) for medium in lens.media
+    ]
+
+
 def followed(lens: Lens, wavelength_nm: float, object_mm: float, low_mm: Array, high_mm: Array) -> Zones:
     """Return bounds of the rays of zones at every surface, ignoring apertures.
 
@@ -194,7 +208,7 @@ def followed(lens: Lens, wavelength_nm: float, object_mm: float, low_mm: Array, 
         angle = np.arctan(steep[0]), np.arctan(steep[1])
         rays = _Rays(entry, angle, _ones(entry), quotient(scaled(vergence, _ones(entry)), _one_and_square(steep)))
         heights, slopes, pass_on = [], [], []
-        index, *behind = (refractive_index(medium, wavelength_nm) for medium in lens.media)
+        index, *behind = known_indices(lens, wavelength_nm)
         gaps = np.append(np.diff(lens.vertices_mm), 0.0)
         for surface, gap, after in zip(lens.surfaces, gaps, behind, strict=True):
             turn = None

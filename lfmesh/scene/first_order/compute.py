@@ -148,13 +148,15 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
 
 
 def _kick_error(scene: Scene, facts: FirstOrder) -> KickError | None:
-    """Return picture errors with and without diffraction; None for round apertures and phases, and beyond the tables.
+    """Return picture errors with and without diffraction; None beyond the tables, and if these do not apply.
+
+    They do not apply to round apertures, phases and gradients.
 
     True faces are used if the lenslets' diffraction is traced, or a warning says that it is not.
     """
     camera, mla, fresnel = scene.camera, scene.camera.mla, facts.microlens_fresnel_number
     pitch, diameter = facts.micro_image_pitch_px, facts.micro_image_diameter_px
-    if mla is None or mla.clear_diameter_mm is not None or mla.phases:
+    if mla is None or mla.clear_diameter_mm is not None or mla.phases or mla.gradient is not None:
         return None
     if not fresnel or pitch is None or diameter is None:
         return None

@@ -5,6 +5,7 @@ Plain floats, as a scene is judged before anything is built; interval bounds add
 
 import math
 from collections.abc import Sequence
+from itertools import zip_longest
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.first_order.beam_bounds import Beam, followed, widest_mm
+from lfmesh.scene.first_order.gradient_rays import GradientSpace, space_behind
 from lfmesh.scene.first_order.phase_turns import turn_in_meridian
 
 STEPS = 50
@@ -20,6 +22,9 @@ STEPS = 50
 
 TRIALS = 60
 """Maximum number of rays in the search for the one at the edge of the stop."""
+
+SAMPLES = 128
+"""Number of rays of a beam through gradient-index glass, for which there are no bounds."""
 
 
 def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: float) -> list[float]:
@@ -40,32 +45,77 @@ def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: fl
     list of float
         One height per surface reached: the ray ends at a miss or total reflection.
     """
+    return _followed(lens, wavelength_nm, object_mm, height_mm)[0]
+
+
+def _followed(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: float) -> tuple[list[float], int | None]:
+    """Return the `heights_mm` of a ray, and the number of the surface at which it ends; None if it passes all."""
     z, y = 0.0, height_mm
     angle = 0.0 if math.isinf(object_mm) else math.atan2(height_mm, object_mm)
     if object_mm < 0:
         angle = math.atan2(-height_mm, -object_mm)
     heights: list[float] = []
     index, *behind = (refractive_index(medium, wavelength_nm) for medium in lens.media)
-    for surface, vertex, after in zip(lens.surfaces, lens.vertices_mm, behind, strict=True):
+    space: GradientSpace | None = None
+    for number, (surface, vertex, after) in enumerate(zip(lens.surfaces, lens.vertices_mm, behind, strict=True)):
+        if space is not None:
+            y, z, angle, index = _through(space, surface, (y, z, angle), vertex)
         met = _meet(surface, y, z - vertex, math.tan(angle))
         if met is None:
-            return heights
+            return heights, number
         y, sag = met
         z = vertex + sag
         heights.append(y)
+        space = space_behind(surface, wavelength_nm)
         if surface.paraxial:
             angle = math.atan(math.tan(angle) - y * surface.thin_lens_power_per_mm)
             continue
+        if space is not None:
+            after = float(space.index_at(np.array([[0.0, y, sag]]))[0])
         # The normal is inclined towards the axis by the arctangent of the sag's slope.
         normal = -math.atan(_slope(surface, y))
         sine = index / after * math.sin(angle - normal)
         if surface.phase is not None:
             sine += turn_in_meridian(surface.phase, wavelength_nm, y) / after * math.cos(normal)
-        if abs(sine) > 1.0:
-            return heights
+        if not abs(sine) <= 1.0:
+            return heights, number
         angle = normal + math.asin(sine)
         index = after
-    return heights
+    return heights, None
+
+
+def _through(
+    space: GradientSpace, surface: Surface, ray: tuple[float, float, float], vertex: float
+) -> tuple[float, float, float, float]:
+    """Return the straight ray that ends on a surface as one through gradient-index glass does.
+
+    Parameters
+    ----------
+    space : GradientSpace
+        Glass before the surface.
+    surface : Surface
+    ray : tuple of float
+        y and z in the camera frame, in mm, and angle, on the face in front of the glass.
+    vertex : float
+        z of the surface's vertex, in mm.
+
+    Returns
+    -------
+    tuple of float
+        y, z and angle at the end, and the index there; NaN if the ray does not reach the surface.
+    """
+
+    def met(points: Array, directions: Array) -> Array:
+        (_, y, z), (_, by_y, by_z) = points[0], directions[0]
+        found = _meet(surface, y, z - space.length_mm, by_y / by_z) if by_z > 0.0 else None
+        return np.full((1, 3), np.nan) if found is None else np.array([[0.0, found[0], found[1] + space.length_mm]])
+
+    y, z, angle = ray
+    front = vertex - space.length_mm
+    start, along = np.array([[0.0, y, z - front]]), np.array([[0.0, math.sin(angle), math.cos(angle)]])
+    point, direction = space.followed(start, along, met)
+    index = float(space.index_at(point)[0])
+    return float(point[0, 1]), front + float(point[0, 2]), math.atan2(direction[0, 1], direction[0, 2]), index
 
 
 def beam_mm(
@@ -74,7 +124,7 @@ def beam_mm(
     """Return the largest height at each surface of the beam that fills the stop, ignoring other apertures.
 
     The beam ends with the first ray from the axis that meets the edge of the stop. Spherical aberration can carry inner
-    rays farther out than edge rays.
+    rays farther out than edge rays. Through gradient-index glass, nothing is proven beyond the traced rays.
 
     Parameters
     ----------
@@ -89,6 +139,8 @@ def beam_mm(
         Without heights if no ray reaches the edge of the stop.
     """
     entry, edge = edge_of_stop_mm(lens, wavelength_nm, object_mm, guess_mm)
+    if lens.has_gradients:
+        return _sampled_beam(lens, wavelength_nm, object_mm, entry)
     if edge:
         beam, all_pass = widest_mm(lens, wavelength_nm, object_mm, entry, clear_mm)
         if all_pass:
@@ -99,6 +151,33 @@ def beam_mm(
     if not _meets_edge(lens, heights):
         return Beam([], [])
     return widest_mm(lens, wavelength_nm, object_mm, entry, clear_mm)[0]
+
+
+def _sampled_beam(lens: Lens, wavelength_nm: float, object_mm: float, most_mm: float) -> Beam:
+    """Return the largest height at each surface of traced rays up to the first one outside the stop's edge.
+
+    Parameters
+    ----------
+    lens, wavelength_nm, object_mm
+        As in `heights_mm`.
+    most_mm : float
+        Height of the outermost ray in the plane of the first vertex.
+    """
+    stop = lens.stop_index or 0
+    limit = (lens.surfaces[stop].semi_diameter_mm or math.nan) * (1 + 1e-6)
+    highest, meets_edge = [0.0] * len(lens.surfaces), False
+    for k in range(1, SAMPLES + 1):
+        heights, end = _followed(lens, wavelength_nm, object_mm, most_mm * k / SAMPLES)
+        if len(heights) <= stop:
+            break
+        if abs(heights[stop]) > limit:
+            meets_edge = True
+            break
+        highest = [max(one, abs(other)) for one, other in zip_longest(highest, heights, fillvalue=0.0)]
+        if end is not None:
+            highest[end] = math.inf
+        meets_edge = meets_edge or _meets_edge(lens, heights)
+    return Beam(highest, highest) if meets_edge else Beam([], [])
 
 
 def _end_of_beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, most_mm: float) -> float:

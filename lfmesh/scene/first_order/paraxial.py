@@ -7,10 +7,12 @@ formulas, which are those of W. J. Smith, Modern Optical Engineering.
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 from lfmesh.optics.glass import AIR, refractive_index
+from lfmesh.optics.gradient_paraxial import gap_and_sizes
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.lens import Lens
 
 
@@ -42,6 +44,11 @@ class Matrix(NamedTuple):
             after.c * self.b + after.d * self.d,
         )
 
+    @property
+    def reversed(self) -> "Matrix":
+        """The matrix for light that returns; its angles count along its own direction."""
+        return Matrix(self.d, self.b, self.c, self.a)
+
 
 NOTHING = Matrix(1.0, 0.0, 0.0, 1.0)
 
@@ -50,8 +57,47 @@ ROUNDED = 2.0**-47
 
 
 def gap(length_mm: float, index: float = AIR) -> Matrix:
-    """Return the matrix of a distance in a medium."""
+    """Return the matrix of a distance in a homogeneous medium."""
     return Matrix(1.0, length_mm / index, 0.0, 1.0)
+
+
+class GradientGap(NamedTuple):
+    """A gap of gradient-index glass.
+
+    Attributes
+    ----------
+    matrix, size : Matrix
+        From vertex to vertex, and the magnitudes to which rounding of its elements is relative.
+    end_index : float
+        Index on the axis at the second vertex.
+    """
+
+    matrix: Matrix
+    size: Matrix
+    end_index: float
+
+
+@lru_cache(maxsize=256)
+def gradient_gap(gradient: Gradient, wavelength_nm: float, length_mm: float, section_x: bool = False) -> GradientGap:
+    """Return the paraxial optics of a gap of gradient-index glass.
+
+    Parameters
+    ----------
+    gradient : Gradient
+    wavelength_nm : float
+    length_mm : float
+        Distance between the vertices.
+    section_x : bool
+        Use the x–z section in place of y–z.
+
+    Raises
+    ------
+    GlassError
+        The index on the axis is not between 1 and 10.
+    """
+    end_index = gradient.index_on_axis(wavelength_nm, length_mm)
+    matrix, size = gap_and_sizes(gradient.profile(wavelength_nm), length_mm, section_x=section_x)
+    return GradientGap(Matrix(*matrix), Matrix(*size), end_index)
 
 
 @dataclass(frozen=True)
@@ -65,11 +111,13 @@ class Paraxial:
     gaps_mm : tuple of float
         Distances between successive vertices.
     indices : tuple of float
-        Before the first surface and after each.
+        Before the first surface and after each, at its vertex.
     stop : int
         Number of the stop surface.
     thin_powers : tuple of float, 1/mm
         Powers of thin lenses and of phases, 0 for other surfaces; empty if there are none.
+    gradients : tuple of GradientGap or None
+        Gaps of gradient-index glass, None for homogeneous ones; empty if there are none.
     """
 
     curvatures: tuple[float, ...]
@@ -77,6 +125,7 @@ class Paraxial:
     indices: tuple[float, ...]
     stop: int
     thin_powers: tuple[float, ...] = ()
+    gradients: tuple[GradientGap | None, ...] = ()
 
     @classmethod
     def of(cls, lens: Lens, wavelength_nm: float, *, section_x: bool = False) -> "Paraxial":
@@ -89,41 +138,66 @@ class Paraxial:
         section_x : bool
             Use the x–z section in place of y–z; they differ only without rotational symmetry.
         """
+        gaps = tuple(surface.thickness_mm or 0.0 for surface in lens.surfaces[:-1])
+        gradients = tuple(
+            None if surface.gradient is None else gradient_gap(surface.gradient, wavelength_nm, length, section_x)
+            for surface, length in zip(lens.surfaces, gaps, strict=False)
+        )
         return cls(
             curvatures=tuple(
                 surface.curvature_x_per_mm if section_x else surface.curvature_per_mm for surface in lens.surfaces
             ),
-            gaps_mm=tuple(surface.thickness_mm or 0.0 for surface in lens.surfaces[:-1]),
+            gaps_mm=gaps,
             indices=tuple(refractive_index(medium, wavelength_nm) for medium in lens.media),
             stop=lens.stop_index or 0,
             thin_powers=tuple(
                 surface.added_power_per_mm(wavelength_nm, section_x=section_x) for surface in lens.surfaces
             ),
+            gradients=gradients if any(gradients) else (),
         )
+
+    def index_before(self, number: int) -> float:
+        """Refractive index right before the vertex of surface `number`."""
+        gradient = self.gradients[number - 1] if number and self.gradients else None
+        return self.indices[number] if gradient is None else gradient.end_index
+
+    def gap(self, number: int) -> Matrix:
+        """Matrix from the vertex of surface `number` to the next."""
+        gradient = self.gradients[number] if self.gradients else None
+        return gap(self.gaps_mm[number], self.indices[number + 1]) if gradient is None else gradient.matrix
+
+    def _gap_size(self, number: int) -> Matrix:
+        """Matrix of a gap with the magnitude of every term."""
+        gradient = self.gradients[number] if self.gradients else None
+        return gap(abs(self.gaps_mm[number]), self.indices[number + 1]) if gradient is None else gradient.size
 
     def refraction(self, number: int) -> Matrix:
         """Matrix of surface `number` alone."""
-        power = (self.indices[number + 1] - self.indices[number]) * self.curvatures[number]
+        power = (self.indices[number + 1] - self.index_before(number)) * self.curvatures[number]
         if self.thin_powers:
             power += self.thin_powers[number]
         return Matrix(1.0, 0.0, -power, 1.0)
 
     def _refraction_size(self, number: int) -> Matrix:
         """Matrix of surface `number` with the magnitude of every term."""
-        power = (self.indices[number + 1] + self.indices[number]) * abs(self.curvatures[number])
+        power = (self.indices[number + 1] + self.index_before(number)) * abs(self.curvatures[number])
         if self.thin_powers:
             power += abs(self.thin_powers[number])
         return Matrix(1.0, 0.0, power, 1.0)
 
     def heights_mm(self, ray: Ray) -> list[float]:
         """Return the heights at all surfaces of a ray given at the first vertex."""
-        heights = []
+        return [each.height_mm for each in self.rays_behind(ray)]
+
+    def rays_behind(self, ray: Ray) -> list[Ray]:
+        """Return a ray given at the first vertex as it is right behind each surface."""
+        behind = []
         for number in range(len(self.curvatures)):
             if number:
-                ray = gap(self.gaps_mm[number - 1], self.indices[number])(ray)
-            heights.append(ray.height_mm)
+                ray = self.gap(number - 1)(ray)
             ray = self.refraction(number)(ray)
-        return heights
+            behind.append(ray)
+        return behind
 
     def reflected_twice(self, first: int, second: int) -> Matrix:
         """Matrix from the first vertex to just behind the last, for light reflected at two surfaces.
@@ -135,19 +209,19 @@ class Paraxial:
         """
         matrix = self._run(0, first, last_refracts=False).then(self._reflection(first, from_front=True))
         for number in range(first - 1, second - 1, -1):
-            matrix = matrix.then(gap(self.gaps_mm[number], self.indices[number + 1]))
+            matrix = matrix.then(self.gap(number).reversed)
             if number > second:
                 # Returning light is refracted like forward light: sides and direction change sign together.
                 matrix = matrix.then(self.refraction(number))
         matrix = matrix.then(self._reflection(second, from_front=False))
         if second + 1 < len(self.curvatures):
             on = self._run(second + 1, len(self.curvatures) - 1)
-            matrix = matrix.then(gap(self.gaps_mm[second], self.indices[second + 1])).then(on)
+            matrix = matrix.then(self.gap(second)).then(on)
         return matrix
 
     def _reflection(self, number: int, *, from_front: bool) -> Matrix:
         """Matrix of a reflection at surface `number`; angles are counted along the direction of the light."""
-        index = self.indices[number] if from_front else -self.indices[number + 1]
+        index = self.index_before(number) if from_front else -self.indices[number + 1]
         return Matrix(1.0, 0.0, 2.0 * index * self.curvatures[number], 1.0)
 
     @cached_property
@@ -177,11 +251,10 @@ class Paraxial:
         return self._sizes[0].then(self._sizes[1])
 
     def _run(self, first: int, last: int, last_refracts: bool = True, size: bool = False) -> Matrix:
-        refraction = self._refraction_size if size else self.refraction
+        refraction, between = (self._refraction_size, self._gap_size) if size else (self.refraction, self.gap)
         matrix = NOTHING
         for number in range(first, last):
-            length = abs(self.gaps_mm[number]) if size else self.gaps_mm[number]
-            matrix = matrix.then(refraction(number)).then(gap(length, self.indices[number + 1]))
+            matrix = matrix.then(refraction(number)).then(between(number))
         return matrix.then(refraction(last)) if last_refracts else matrix
 
     @property

@@ -22,12 +22,11 @@ from lfmesh.optics.bounds import (
     squared,
     times,
 )
-from lfmesh.optics.glass import refractive_index
 from lfmesh.optics.phase_ranges import phase_bends
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.phase import Phase
 from lfmesh.scene.camera.surface import Surface
-from lfmesh.scene.first_order.beam_bounds import CLOSE, STEPS, WIDER, Beam, enclosed
+from lfmesh.scene.first_order.beam_bounds import CLOSE, STEPS, WIDER, Beam, enclosed, known_indices
 
 Jet = Range
 """Bounds (3, n) of a quantity and of its derivatives by the entry's x and y."""
@@ -126,7 +125,7 @@ def _followed(lens: Lens, wavelength_nm: float, object_mm: float, low: Array, hi
     x, y = (
         _jet((np.append(low[:, k], middle[k]), np.append(high[:, k], middle[k])), k) for k in (0, 1)
     )  # fmt: skip
-    indices = [refractive_index(medium, wavelength_nm) for medium in lens.media]
+    indices = known_indices(lens, wavelength_nm)
     gaps = np.append(np.diff(lens.vertices_mm), 0.0)
     squares, pass_on = [], []
     with np.errstate(all="ignore"):

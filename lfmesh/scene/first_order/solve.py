@@ -12,7 +12,7 @@ from lfmesh.scene.camera.lenslet_optics import lenslet_optics
 from lfmesh.scene.camera.mla import MicrolensArray
 from lfmesh.scene.camera.phase_grids import refuse_small_grids, with_phase_grids
 from lfmesh.scene.files import with_lens_file
-from lfmesh.scene.first_order.paraxial import Paraxial, Ray, quotient
+from lfmesh.scene.first_order.paraxial import Paraxial, Ray, gradient_gap, quotient
 from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.materials.glass_in_air import in_its_air
 from lfmesh.scene.model import Model
@@ -26,6 +26,9 @@ BEYOND = 1e-6
 
 SPARE = 0.05
 """Relative margin of solved clear apertures over the beams that they pass."""
+
+PLANES = 16
+"""Number of equal parts of a gap of gradient-index glass between which the beams are measured."""
 
 
 def solved(scene: Scene) -> Scene:
@@ -84,8 +87,14 @@ def solved(scene: Scene) -> Scene:
 
 
 def apparent_thickness_mm(camera: Camera, wavelength_nm: float) -> float:
-    """Return the thickness of the array's plate as seen from outside, t/n; n is relative to the image medium."""
+    """Return the thickness of the array's plate as seen from outside, t/n; n is relative to the image medium.
+
+    A plate with a gradient has the reduced length of its paraxial matrix in place of t/n.
+    """
     mla = _array_of(camera)
+    if mla.gradient is not None:
+        reduced = gradient_gap(mla.gradient, wavelength_nm, mla.thickness_mm, mla.main_section == "x").matrix.b
+        return reduced * camera.image_index(wavelength_nm)
     return mla.thickness_mm / camera.relative_index(mla.medium, wavelength_nm)
 
 
@@ -101,7 +110,7 @@ def cover_shift_mm(camera: Camera, wavelength_nm: float) -> float:
 
 
 def lenslet_focal_length_mm(camera: Camera, wavelength_nm: float) -> tuple[float, ...]:
-    """Return the focal length of each lenslet type of a solved array: R / (n − 1), or that of both faces with phases.
+    """Return the focal length of each lenslet type of a solved array: R / (n − 1), or that of the whole plate.
 
     It is in the image medium, and n relative to that. For cylinders, in the section with the power of the curved face.
     """
@@ -274,7 +283,9 @@ def _focal_plane_mm(camera: Camera, wavelength_nm: float) -> float:
             )
         why = (
             "the two faces focus light inside their plate or before it; give a thinner plate or larger radii"
-            if mla.both_faces_act
+            if mla.both_faces_act and mla.gradient is None
+            else "the plate focuses light within itself or before it; give a thinner plate or a weaker gradient"
+            if mla.gradient is not None
             else f"the lenslets' focal length of {focal_length:.6g} mm ends inside their plate; give "
             f"thickness_mm at most {at_most(mla.thickness_mm * focal_length / inside * (1 - BEYOND))}"
         )
@@ -323,17 +334,19 @@ def _with_apertures(camera: Camera, wavelength_nm: float) -> Lens:
     if not omitted:
         return lens
     for i, surface in enumerate(lens.surfaces):
-        if surface.phase is not None and any(surface.phase.gradient_rad_mm):
+        turning = {
+            "phase": surface.phase is not None and any(surface.phase.gradient_rad_mm),
+            "gradient": surface.gradient is not None and surface.gradient.turns_axis,
+        }
+        for key in (key for key, turns in turning.items() if turns):
             raise SceneError(
-                f"camera.lens.surfaces[{omitted[0]}].semi_diameter_mm: missing, and the phase of surfaces[{i}] turns "
+                f"camera.lens.surfaces[{omitted[0]}].semi_diameter_mm: missing, and the {key} of surfaces[{i}] turns "
                 "light on the axis, so the beams are not known from paraxial rays; give it"
             )
     image = image_plane_mm(camera, wavelength_nm)
     object_mm = Paraxial.of(lens, wavelength_nm).object_mm(image)
     sections = (False,) if lens.number_off_revolution is None else (False, True)
-    beams = [
-        _beam_mm(camera, Paraxial.of(lens, wavelength_nm, section_x=section), object_mm, image) for section in sections
-    ]
+    beams = [_beam_mm(camera, wavelength_nm, object_mm, image, section_x=section) for section in sections]
     for i in omitted:
         surface = lens.surfaces[i]
         wished = (1 + SPARE) * max(beam[i] for beam in beams)
@@ -350,18 +363,30 @@ def _with_apertures(camera: Camera, wavelength_nm: float) -> Lens:
     return lens
 
 
-def _beam_mm(camera: Camera, paraxial: Paraxial, object_mm: float, image: float) -> list[float]:
-    """Return the largest height of the whole picture's beams at each surface, by paraxial rays."""
-    lens = camera.lens
+def _beam_mm(camera: Camera, wavelength_nm: float, object_mm: float, image: float, *, section_x: bool) -> list[float]:
+    """Return the largest height of the whole picture's beams at each surface, by paraxial rays.
+
+    Both faces of gradient-index glass are as high as the beams between them, where rays bend outwards and back.
+    """
+    lens, paraxial = camera.lens, Paraxial.of(camera.lens, wavelength_nm, section_x=section_x)
     radius = lens.surfaces[paraxial.stop].semi_diameter_mm or math.nan
-    marginal = paraxial.heights_mm(paraxial.marginal_ray(object_mm, radius))
+    marginal = paraxial.rays_behind(paraxial.marginal_ray(object_mm, radius))
     behind, reduced = paraxial.from_stop(Ray(0.0, 1.0)), image / paraxial.image_index
     width, height = camera.sensor.size_mm
     if camera.mla is not None:
         width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
     slope = quotient(0.5 * math.hypot(width, height), abs(behind.height_mm + reduced * behind.angle))
-    chief = paraxial.heights_mm(Ray(-slope * paraxial.to_stop.b, slope * paraxial.to_stop.a))
-    return [abs(beam) + abs(axis) for beam, axis in zip(marginal, chief, strict=True)]
+    chief = paraxial.rays_behind(Ray(-slope * paraxial.to_stop.b, slope * paraxial.to_stop.a))
+    beam = [abs(edge.height_mm) + abs(axis.height_mm) for edge, axis in zip(marginal, chief, strict=True)]
+    for number, surface in enumerate(lens.surfaces[:-1]):
+        if surface.gradient is None:
+            continue
+        for k in range(1, PLANES):
+            length = (surface.thickness_mm or 0.0) * k / PLANES
+            part = gradient_gap(surface.gradient, wavelength_nm, length, section_x).matrix
+            height = abs(part(marginal[number]).height_mm) + abs(part(chief[number]).height_mm)
+            beam[number : number + 2] = [max(each, height) for each in beam[number : number + 2]]
+    return beam
 
 
 def _room_mm(lens: Lens, number: int, widest_mm: float) -> float:

@@ -16,6 +16,7 @@ from lfmesh.accuracy.analytic_rays import (
     refract,
     turned,
 )
+from lfmesh.errors import LfmeshError
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.geometry.array.lenslets import lenslets
 from lfmesh.optics.glass import refractive_index
@@ -81,9 +82,16 @@ def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletA
     scene : Scene
     face_z : float, mm
     wavelength_nm : float, nm
+
+    Raises
+    ------
+    LfmeshError
+        The plate is gradient-index glass.
     """
     mla = scene.camera.mla
     assert mla is not None
+    if mla.gradient is not None:
+        raise LfmeshError("camera.mla.gradient: the truth that errors are measured against has homogeneous plates only")
     lattice = Lattice(
         mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
     )

@@ -39,6 +39,7 @@ from lfmesh.transport.regions.seen_lights import with_seen_lights
 from lfmesh.transport.regions.standing_lamps import off_surfaces
 from lfmesh.transport.tables.cover import apparent_frames, cover_tables
 from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.gradient_cells import with_gradient_cells
 from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables
 from lfmesh.transport.tables.lens import lens_tables, mla_tables, with_diffracting_stop, with_diffraction
 from lfmesh.transport.tables.lines import Lines
@@ -199,7 +200,7 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     sensor = SensorTables(columns, rows, own.pixel_mm, own.reflectance, index2_behind_lens(scene, wavelengths_nm))
     particles = particle_tables(scene, lines, objects.media, lambda points: places_round(objects, targets, points))
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
-    diffracting = with_diffraction(scene, mla, wavelengths_nm)
+    diffracting = with_diffraction(scene, with_gradient_cells(scene, mla, wavelengths_nm), wavelengths_nm)
     stopped = with_diffracting_stop(scene, lens, wavelengths_nm)
     # Absorption weakens light but does not change its path.
     anywhere = unaimed(scene, clear(lens))

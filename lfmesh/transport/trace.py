@@ -25,6 +25,7 @@ from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.sources.face_starts import before_faces
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
+from lfmesh.transport.tables.gradient_cells import with_gradient_cells
 from lfmesh.transport.tables.gradient_spaces import gradient_spaces, has_gradients
 from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.interfaces import interface_tables
@@ -305,6 +306,7 @@ def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
         hosts = hosts_of(world.scene, world.targets, objects.rank, objects.medium, objects.media)
         volumes, own = volumes_at(objects.volumes, world.scene, tables.frames, line, hosts)
         objects = objects._replace(volumes=volumes, media=own)
+    array = with_media(tables.mla, media(tables.mla.medium), interfaces=interfaces.mla)
     return tables._replace(
         lens=tables.lens._replace(
             aperture=None,
@@ -312,9 +314,7 @@ def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
             interfaces=interfaces.lens,
             gradients=gradient_spaces(world.scene, world.lens_shape, (wavelength_nm,)),
         ),
-        mla=with_diffraction(
-            world.scene, with_media(tables.mla, media(tables.mla.medium), interfaces=interfaces.mla), (wavelength_nm,)
-        ),
+        mla=with_diffraction(world.scene, with_gradient_cells(world.scene, array, (wavelength_nm,)), (wavelength_nm,)),
         objects=objects,
         sensor=tables.sensor._replace(index2=index2_behind_lens(world.scene, (wavelength_nm,))),
         polarised=polarisation_tables(world.scene, (wavelength_nm,), tables.frames, world.book),

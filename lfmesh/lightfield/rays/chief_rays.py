@@ -162,6 +162,11 @@ def refuse_undecodable(mla: MicrolensArray) -> None:
             "camera.mla.back: arrays with lenslets on both faces are not decoded or calibrated, because chief rays are "
             "known through a flat face only; render, check, draw, view and lf.white_image accept them"
         )
+    if mla.gradient is not None:
+        raise LfmeshError(
+            "camera.mla.gradient: arrays of gradient-index glass are not decoded or calibrated, because chief rays are "
+            "known through homogeneous plates only; render, check, draw, view and lf.white_image accept them"
+        )
     if mla.flat_phase is not None:
         raise LfmeshError(
             "camera.mla.flat_phase: arrays with a diffractive flat face are not decoded or calibrated, because chief "
@@ -176,7 +181,8 @@ def plate_of(scene: Scene) -> Plate:
     Raises
     ------
     LfmeshError
-        A conventional camera, cylindrical lenslets, lenslets on both faces, or a diffractive flat face.
+        A conventional camera, cylindrical lenslets, lenslets on both faces, a diffractive flat face, or a
+        gradient-index plate.
     """
     mla = scene.camera.mla
     if mla is None:

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from lfmesh.optics.glass import Medium
 from lfmesh.scene.camera.back_face import BackFace
-from lfmesh.scene.camera.gradient import AnyGradient
+from lfmesh.scene.camera.gradient import AnyGradient, Gradient
 from lfmesh.scene.camera.gradient_faults import BESIDE_GRADIENT, gradient_beside, rough_beside_gradient
 from lfmesh.scene.camera.lenslet_depth import cell_corner_mm, highest_and_deepest_mm, profile_words
 from lfmesh.scene.camera.per_type import ConicPerType, RadiusPerType, TermsPerType
@@ -179,8 +179,8 @@ class MicrolensArray(Model):
 
     @property
     def turns_twice(self) -> bool:
-        """True if the face opposite the curved one has lenslets or a phase, too."""
-        return self.has_back or self.flat_phase is not None
+        """True if light also depends on the cells of the opposite face: lenslets, a phase or a gradient-index plate."""
+        return self.has_back or self.flat_phase is not None or self.gradient is not None
 
     def profile_of(self, kind: int) -> tuple[float, tuple[float, ...]]:
         """Return the conic constant and the even terms of a lenslet type.
@@ -341,6 +341,21 @@ class MicrolensArray(Model):
             yield from rough_beside_gradient(finish, (key,))
         for key in self.phases:
             yield Fault((key,), None, BESIDE_GRADIENT)
+        if self.walls == "clear" and (differ := self._different_cells(self.gradient)):
+            why = f'{differ}, so that neighbouring cells differ at their wall, where light is not divided; use "absorb"'
+            yield Fault(("walls",), self.walls, why)
+        if self.back is not None and any(self.back.decenter_mm):
+            why = "with a gradient the cells of both faces lie opposite each other: omit it"
+            yield Fault(("back", "decenter_mm"), list(self.back.decenter_mm), why)
+
+    def _different_cells(self, gradient: Gradient) -> str:
+        """Return why the glass on both sides of a wall is not the same, or ""."""
+        if not (gradient.of_revolution if self.layout == "hexagonal" else gradient.symmetric):
+            return "the gradient is not symmetric about the walls"
+        if self.types > 1:
+            return f"there are {self.types} types of lenslets"
+        errors = {"decenter_mm": self.form.decenter_mm, "radius_error": self.form.radius_error}
+        return next((f"form.{key} = {error:g} varies from cell to cell" for key, error in errors.items() if error), "")
 
     def _medium_faults(self) -> Iterator[Fault]:
         if self.gradient is not None:

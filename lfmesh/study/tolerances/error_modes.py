@@ -108,9 +108,10 @@ def manufacturing(scene: Scene) -> Ready:
         shift = min(scene.camera.sensor.pixel_mm, 0.2 * mla.pitch_mm)
         if math.isfinite(radius):
             axes.append(_axis("camera.mla.back.radius_mm", RADIUS_ERROR * abs(radius), "radius, other face / mm"))
+        # The cells of a gradient-index plate lie opposite each other.
         axes += [
             _axis(f"camera.mla.back.decenter_mm[{i}]", shift, f"other face, shift {name} / mm")
-            for i, name in enumerate("xy")
+            for i, name in enumerate("xy" if mla.gradient is None else "")
         ]
     return Ready(tuple(axes), {**_quick(scene), **IMAGE_PATH})
 

@@ -24,6 +24,7 @@ from lfmesh.transport.aims.plate_view import (
 )
 from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.gradient_cells import at_colours as gradient_at_colours
 from lfmesh.transport.tables.media import with_media
 from lfmesh.transport.tables.phase_faces import at_colours, first_order
 from lfmesh.transport.tables.tables import AIR, LensletAim, MlaTables, Opening, SensorTables
@@ -164,8 +165,8 @@ def aim_through_lenslets(
 def _at_few_indices(mla: MlaTables) -> MlaTables:
     """Return the array's tables at few wavelengths, including the extreme indices of the lenslets to the outside."""
     indices, colours = np.unique(mla.media.indices[mla.medium] / mla.media.indices[AIR], return_index=True)
-    if mla.interfaces.phases is not None:
-        # A phase depends on the wavelength even if the index does not.
+    if mla.interfaces.phases is not None or mla.gradient is not None:
+        # A phase depends on the wavelength even if the index does not, and so do coefficients of a gradient.
         colours = np.arange(mla.media.indices.shape[1])
         indices = mla.media.indices[mla.medium] / mla.media.indices[AIR]
     if len(indices) > MOST_INDICES:
@@ -173,7 +174,7 @@ def _at_few_indices(mla: MlaTables) -> MlaTables:
         indices, colours = indices[some], colours[some]
     phases = at_colours(mla.interfaces.phases, colours, mla.media.indices[AIR, colours])
     return with_media(
-        mla, mla.media._replace(indices=indices[None], absorption=None), medium=0,
+        gradient_at_colours(mla, colours), mla.media._replace(indices=indices[None], absorption=None), medium=0,
         interfaces=mla.interfaces._replace(phases=phases),
     )  # fmt: skip
 

@@ -12,11 +12,13 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.array.lattice import cell_of, centre, is_inside
 from lfmesh.geometry.array.lenslets import face_normal, face_sag, shape_of, type_of
 from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase_law import diffracted
 from lfmesh.transport.aims.lenslet_faces import on_lenslet
 from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.events.crossing import refracted
+from lfmesh.transport.events.gradient_cell import REACHED, cross_cells, index_in_cell
 from lfmesh.transport.events.phase import momentum_change
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.phase_faces import FIRST_TRANSMITTED
@@ -27,6 +29,12 @@ ZONES = 2
 
 INSIDE = 0.98
 """Share of the way to the corners: at a corner a ray may land in any of the adjacent lenslets."""
+
+OF_OPENING = 5
+"""Number of points of the opening: its centre, and four on its border."""
+
+RINGS, TURNS = 4, 8
+"""Rings, and rays in each, of the directions that a gradient-index lenslet accepts."""
 
 NOTHING_SEEN = -1.0
 """In place of the radius of a lenslet's view: the lenslet does not show the opening."""
@@ -74,7 +82,7 @@ def _through_all(
                 zone, corner = (point + len(corners) - 1) // len(corners) / ZONES, point % len(corners)
                 x, y = cx + INSIDE * zone * corners[corner, 0], cy + INSIDE * zone * corners[corner, 1]
                 for colour in range(mla.media.indices.shape[1]):
-                    for which in range(5):
+                    for which in range(_rays_through(mla.gradient)):
                         cell, a, b = _slope_through(
                             mla, mla.back, opening, moves, sensor_z, column, row, x, y, colour, which
                         )
@@ -106,7 +114,8 @@ def _slope_through(
     x, y : float, mm
         Point, in their frame.
     which : int
-        Point of the opening: its centre, or one of four on its border.
+        Point of the opening: its centre, one of four on its border, or for a gradient-index lenslet in one of the
+        directions that it accepts.
     """
     curvature, ex, ey = shape_of(back.lenslets, column, row)
     cx, cy = centre(back.lenslets.lattice, column, row)
@@ -117,12 +126,18 @@ def _slope_through(
     ox, oy, radius = opening_from(opening, (px, py, pz))
     if not radius > 0.0:
         return -1, 0.0, 0.0
-    if which > 0:
+    if which >= OF_OPENING:
+        accepted, ox, oy = _in_acceptance(
+            mla.gradient, colour, which - OF_OPENING, px, py, opening.plane_z - pz, (ox, oy, radius)
+        )
+        if not accepted:
+            return -1, 0.0, 0.0
+    elif which > 0:
         ox += radius * (0.0 if which > 2 else (1.0 if which == 1 else -1.0))
         oy += radius * (0.0 if which <= 2 else (1.0 if which == 3 else -1.0))
     dx, dy, dz = frame.move_direction(moves, CAMERA_FRAME, BACK_FRAME, px - ox, py - oy, pz - opening.plane_z)
     scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
-    glass = mla.media.indices[mla.medium, colour]
+    glass = _index_at(back.gradient, back, colour, column, row, (x, y, z))
     passes, dx, dy, dz = bent_at_lenslet(
         back.interfaces.phases, back.row, colour, (ux, uy), (1.0, glass), (dx * scale, dy * scale, dz * scale),
         (nx, ny, nz),
@@ -133,20 +148,16 @@ def _slope_through(
     dx, dy, dz = frame.move_direction(moves, BACK_FRAME, MLA_FRAME, dx, dy, dz)
     lenslets = mla.lenslets
     lattice = lenslets.lattice
-    gx, gy = dx / dz, dy / dz
-    # The line at the height of the apexes and in the middle of the layer of faces.
-    ax, ay, middle = px - pz * gx, py - pz * gy, 0.5 * (lenslets.top + lenslets.valley)
-    own_column, own_row = cell_of(lattice, ax + middle * gx, ay + middle * gy)
-    if not is_inside(lattice, own_column, own_row):
+    met, own_column, own_row, ux, uy, dx, dy, dz = _onto_other_face(
+        mla.gradient, mla, colour, column, row, Ray(px, py, pz, dx, dy, dz)
+    )
+    if not met:
         return -1, 0.0, 0.0
     curvature, ex, ey = shape_of(lenslets, own_column, own_row)
     cx, cy = centre(lattice, own_column, own_row)
-    kind = type_of(lenslets, own_column, own_row)
-    met, ux, uy = on_lenslet(lenslets, kind, curvature, ax - cx - ex, ay - cy - ey, gx, gy, True)
-    if not met:
-        return -1, 0.0, 0.0
     z = face_sag(lenslets, own_column, own_row, curvature, ux, uy)
     nx, ny, nz = face_normal(lenslets, own_column, own_row, curvature, ux, uy, z)
+    glass = _index_at(mla.gradient, mla, colour, own_column, own_row, (ux + cx + ex, uy + cy + ey, z))
     passes, dx, dy, dz = bent_at_lenslet(
         mla.interfaces.phases, mla.row, colour, (ux, uy), (glass, 1.0), (dx, dy, dz), (-nx, -ny, -nz)
     )
@@ -158,6 +169,103 @@ def _slope_through(
     t = ((sx - px) * mx + (sy - py) * my + (sz - z) * mz) / (dx * mx + dy * my + dz * mz)
     over = 1.0 / abs(z + t * dz - sensor_z)
     return own_row * lattice.columns + own_column, (cx - px - t * dx) * over, (cy - py - t * dy) * over
+
+
+@inlined
+def _rays_through(gradient: Any) -> int:
+    """Return the number of rays through a point of a lenslet; `gradient` : CellGradients or None."""
+    return OF_OPENING if gradient is None else OF_OPENING + RINGS * TURNS
+
+
+@inlined
+def _in_acceptance(
+    gradient: Any, colour: int, number: int, x: float, y: float, ahead: float, disk: tuple[float, float, float]
+) -> tuple[bool, float, float]:  # fmt: skip
+    """Return whether a ray in a gradient-index lenslet's acceptance comes from the opening, and its point there.
+
+    Of a wide opening a long lenslet sees a part only, which rays from centre and border may miss.
+
+    Parameters
+    ----------
+    gradient : CellGradients or None
+    colour, number : int
+        Numbers of the wavelength and of the ray.
+    x, y : float, mm
+        Point of the lenslet, camera frame.
+    ahead : float, mm
+        Distance along z to the plane of the opening.
+    disk : (3,) float, mm
+        Centre and radius of the opening.
+    """
+    if gradient is None:
+        return False, 0.0, 0.0
+    slope = gradient.acceptance[colour] * (number // TURNS + 1.0) / RINGS
+    turn = 2.0 * np.pi * (number % TURNS) / TURNS
+    x, y = x + ahead * slope * np.cos(turn), y + ahead * slope * np.sin(turn)
+    ox, oy = x - disk[0], y - disk[1]
+    return ox * ox + oy * oy <= disk[2] * disk[2], x, y
+
+
+@inlined
+def _index_at(
+    gradient: Any, mla: MlaTables, colour: int, column: int, row: int, point: tuple[float, float, float]
+) -> float:  # fmt: skip
+    """Return the index of a lenslet's glass at a point in the frame of its face, relative to the medium outside.
+
+    Parameters
+    ----------
+    gradient : CellGradients or None
+        Gradient of `mla`.
+    """
+    if gradient is None:
+        return mla.media.indices[mla.medium, colour]
+    return index_in_cell(gradient, mla, colour, column, row, point) / gradient.outside[colour]
+
+
+@inlined
+def _onto_other_face(
+    gradient: Any, mla: MlaTables, colour: int, column: int, row: int, ray: Ray
+) -> tuple[bool, int, int, float, float, float, float, float]:
+    """Follow a ray in the glass to the face towards the sensor.
+
+    Parameters
+    ----------
+    gradient : CellGradients or None
+        Gradient of `mla`.
+    column, row : int
+        Lenslet on the lens side.
+    ray : Ray
+        In the frame of `mla`.
+
+    Returns
+    -------
+    met : bool
+    column, row : int
+        Lenslet where it arrives.
+    x, y : float, mm
+        Point, from its apex.
+    dx, dy, dz : float
+    """
+    lenslets = mla.lenslets
+    lattice = lenslets.lattice
+    px, py, pz, dx, dy, dz = ray
+    if gradient is not None:
+        end = cross_cells(gradient, mla, colour, column, row, ray)
+        cx, cy = centre(lattice, end.column, end.row)
+        _, ex, ey = shape_of(lenslets, end.column, end.row)
+        ux, uy = end.x + end.distance * end.dx - cx - ex, end.y + end.distance * end.dy - cy - ey
+        return end.slot == REACHED, end.column, end.row, ux, uy, end.dx, end.dy, end.dz
+    gx, gy = dx / dz, dy / dz
+    # The line at the height of the apexes and in the middle of the layer of faces.
+    ax, ay, middle = px - pz * gx, py - pz * gy, 0.5 * (lenslets.top + lenslets.valley)
+    column, row = cell_of(lattice, ax + middle * gx, ay + middle * gy)
+    if not is_inside(lattice, column, row):
+        return False, column, row, 0.0, 0.0, dx, dy, dz
+    curvature, ex, ey = shape_of(lenslets, column, row)
+    cx, cy = centre(lattice, column, row)
+    kind = type_of(lenslets, column, row)
+    met, ux, uy = on_lenslet(lenslets, kind, curvature, ax - cx - ex, ay - cy - ey, gx, gy, True)
+    return met, column, row, ux, uy, dx, dy, dz
 
 
 @inlined

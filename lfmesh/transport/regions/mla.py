@@ -3,7 +3,8 @@
 Array frame: z runs from the curved face into the glass. Space 0 is outside, in front of the curved face, 1 the glass, 2
 outside, behind the flat face. The curved faces lie in the thin layer top ≤ z ≤ valley, the only place where a ray
 belongs to a cell. If it leaves the cell sideways first, it walks into the next cell. Below the layer the glass is one
-plate. The flat face is one plane and needs no Embree query.
+plate. The flat face is one plane and needs no Embree query. In a gradient-index plate a ray stays in the cell where it
+entered, up to the other face, and its curve decides.
 
 If the lenslets are exact spheres, a ray in a cell can only meet the sphere of that cell, the cell's sides and the
 borders of the layer. Their distances decide without a query; undecided packets go to the station of the cells' meshes.
@@ -34,21 +35,25 @@ from lfmesh.geometry.surfaces.surface import conic_distance
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import end, requery, too_deep, write_query
 from lfmesh.transport.events.facets import clear_of, facet_normal, meets_patch, next_query_from
+from lfmesh.transport.events.gradient_cell import has_gradient
 from lfmesh.transport.events.interface import is_rough, scatterer, splitter
 from lfmesh.transport.events.kick import kicked
 from lfmesh.transport.events.phase import light_at_phase, order_splitter
 from lfmesh.transport.events.travel import arrive, travel
-from lfmesh.transport.packets.book import EVANESCENT, LOST_IN_MLA, MLA_EDGE, MLA_MASK, MLA_MOUNT, MLA_WALL
+from lfmesh.transport.packets.book import EVANESCENT, LOST_IN_MLA, MLA_EDGE, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import LEFT_FACE, NO_SURFACE, PLATE, S_ABSORBED, Flow, Options, put
 from lfmesh.transport.paths.automaton import NEXT_LENSLET
 from lfmesh.transport.regions import lens_block as rows
 from lfmesh.transport.regions.lens_block import BLOCK, meet_in_order, set_only_conic, set_ray, split_block
+from lfmesh.transport.regions.mla_gradient import meets_along_curve
 from lfmesh.transport.regions.mla_plate import (
     BEFORE,
     GLASS,
+    ends_on_mask,
     leave_mla,
     medium_of,
     scattered_at_face,
+    set_local_sides,
     set_sides,
     shares_at_face,
 )
@@ -169,12 +174,14 @@ def _meets_face(
     """
     if packet.tries == 0 and too_deep(options, flow, frames, packet):
         return NO_SURFACE
+    inward = packet.space == BEFORE
+    if not inward and has_gradient(mla.gradient):
+        return meets_along_curve(mla.gradient, block, i, packet, mla, frames, options, flow)
     lenslets = mla.lenslets
     lattice = lenslets.lattice
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     column, row = packet.column, packet.row
-    inward = packet.space == BEFORE
     cx, cy = centre(lattice, column, row)
     sideways, side = leaves_at(lattice, x - cx, y - cy, dx, dy)
     layer = np.inf
@@ -260,10 +267,11 @@ def _meets_face(
             block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i] = dx, dy, dz
             block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i] = nx, ny, nz
             set_sides(block, i, packet, mla, not inward, mla.row)
-        if _ends_on_mask(block, i, packet, mla, frames, options, flow):
+        if ends_on_mask(block, i, packet, mla, frames, options, flow):
             return NO_SURFACE
         if inward and _ends_by_diffraction(mla.apertures, block, i, packet, mla, frames, options, flow):
             return NO_SURFACE
+        set_local_sides(mla.gradient, block, i, packet, mla, not inward)
         return mla.row
     if options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
         further = next_query_from(mla.facets[prim], packet, at_facet)
@@ -283,26 +291,6 @@ def _meets_face(
     else:
         requery(options, flow, frames, mla.cells_mesh, packet, packet.query_from, True, LOST_IN_MLA)
     return NO_SURFACE
-
-
-@inlined
-def _ends_on_mask(
-    block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, options: Options, flow: Flow
-) -> bool:
-    """End a packet that meets its lenslet outside the clear aperture; return True if it does."""
-    clear_radius = mla.lenslets.clear_radius
-    if clear_radius == np.inf:
-        return False
-    cx, cy = centre(mla.lenslets.lattice, packet.column, packet.row)
-    px, py = block[rows.PX + i], block[rows.PY + i]
-    x, y = px - cx, py - cy
-    hidden = not x * x + y * y <= clear_radius * clear_radius
-    if hidden:
-        end(
-            options, flow, frames, packet, mla.frame, px, py, block[rows.PZ + i],
-            packet.dx, packet.dy, packet.dz, packet.weight, MLA_MASK, S_ABSORBED,
-        )  # fmt: skip
-    return hidden
 
 
 @inlined
@@ -379,6 +367,9 @@ def _send_from_curved_face(
     lenslets = mla.lenslets
     cx, cy = centre(lenslets.lattice, packet.column, packet.row)
     packet.space = GLASS if refracts == inward else BEFORE
+    if packet.space == GLASS and has_gradient(mla.gradient):
+        put(flow, PLATE, packet, mla.frame, x, y, z, dx, dy, dz, weight, key, 0.0)
+        return
     if packet.space == BEFORE:
         sense = 1.0 if refracts else -1.0
         goes_on, dx, dy, dz = kicked(

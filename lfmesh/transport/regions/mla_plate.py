@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.array.lattice import cell_of, is_inside, stays_inside
+from lfmesh.geometry.array.lattice import cell_of, centre, is_inside, stays_inside
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import end, end_here, move_packet, too_deep
+from lfmesh.transport.events.gradient_cell import has_gradient, index_in_cell
 from lfmesh.transport.events.interface import divided, is_rough, scattered, scatterer, splitter
 from lfmesh.transport.events.polarisation import IN_ARRAY, shares_by_state
 from lfmesh.transport.events.travel import transmitted, travel
-from lfmesh.transport.packets.book import MLA_EDGE, MLA_MOUNT
+from lfmesh.transport.packets.book import MLA_EDGE, MLA_MASK, MLA_MOUNT
 from lfmesh.transport.packets.packet import (
     BACK_FRAME,
     FLAT_FACE,
@@ -96,6 +97,11 @@ def into_layer(
     space : int
         Space it comes from: `BEFORE` or `GLASS`.
     """
+    if space == GLASS and has_gradient(mla.gradient):
+        # It stays in the cell where it entered the plate.
+        child = put(flow, mla.cells, packet, mla.frame, x, y, z, dx, dy, dz, weight, key, 0.0)
+        child.space = GLASS
+        return
     lenslets = mla.lenslets
     border = lenslets.top if space == BEFORE else lenslets.valley
     t = max(0.0, (border - z) / dz)
@@ -266,6 +272,38 @@ def _into_next_layer(
 
 
 @inlined
+def ends_on_mask(
+    block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, options: Options, flow: Flow
+) -> bool:
+    """End a packet that meets its lenslet outside the clear aperture; return True if it does.
+
+    Parameters
+    ----------
+    block : (ROWS · BLOCK,) float64
+        With the hit.
+    i : int
+    packet : PACKET
+    mla : MlaTables
+    frames : (6, 6, 3, 4) float64
+    options : Options
+    flow : Flow
+    """
+    clear_radius = mla.lenslets.clear_radius
+    if clear_radius == np.inf:
+        return False
+    cx, cy = centre(mla.lenslets.lattice, packet.column, packet.row)
+    px, py = block[rows.PX + i], block[rows.PY + i]
+    x, y = px - cx, py - cy
+    hidden = not x * x + y * y <= clear_radius * clear_radius
+    if hidden:
+        end(
+            options, flow, frames, packet, mla.frame, px, py, block[rows.PZ + i],
+            packet.dx, packet.dy, packet.dz, packet.weight, MLA_MASK, S_ABSORBED,
+        )  # fmt: skip
+    return hidden
+
+
+@inlined
 def shares_at_face(
     block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, number: int, outward: bool, flow: Flow
 ) -> tuple[float, float]:
@@ -338,3 +376,27 @@ def set_sides(block: Array, i: int, packet: Any, mla: MlaTables, outward: bool, 
     glass, outside = mla.media.indices[mla.medium, packet.colour], mla.media.indices[AIR, packet.colour]
     block[rows.N_I + i], block[rows.N_T + i] = (glass, outside) if outward else (outside, glass)
     block[rows.NUMBER + i] = number
+
+
+@inlined
+def set_local_sides(gradient: Any, block: Array, i: int, packet: Any, mla: MlaTables, outward: bool) -> None:
+    """Enter the indices on both sides of the face of a gradient-index plate at a packet's hit.
+
+    Parameters
+    ----------
+    gradient : CellGradients or None
+        Gradient of `mla`; None changes nothing.
+    block : (ROWS · BLOCK,) float64
+        With the hit.
+    i : int
+    packet : PACKET
+    mla : MlaTables
+    outward : bool
+        Light comes from the glass.
+    """
+    if gradient is None:
+        return
+    point = block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i]
+    glass = index_in_cell(gradient, mla, packet.colour, packet.column, packet.row, point)
+    outside = mla.media.indices[AIR, packet.colour]
+    block[rows.N_I + i], block[rows.N_T + i] = (glass, outside) if outward else (outside, glass)

@@ -34,6 +34,7 @@ from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.surface import conic_distance
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
+from lfmesh.transport.events.gradient_cell import has_gradient
 from lfmesh.transport.packets.book import MLA_EDGE, MLA_MASK, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import BACK_FRAME, MLA_FRAME
 from lfmesh.transport.sequences.bundle import (
@@ -61,6 +62,7 @@ from lfmesh.transport.sequences.bundle import (
     set_normal,
 )
 from lfmesh.transport.sequences.division import divide
+from lfmesh.transport.sequences.gradient_lenslets import COLUMN, ROW, divide_in_cells, meet_along_curves
 from lfmesh.transport.sequences.kicks import diffract
 from lfmesh.transport.sequences.lens_surfaces import sphere_crossing
 from lfmesh.transport.tables.tables import AIR, FLAT_ROW, MlaTables
@@ -70,8 +72,8 @@ Array = NDArray[np.float64]
 MEETS_FACE, LEAVES_LAYER = -1, -2
 """Fates of a ray that does not end in the layer of curved faces."""
 
-# Working rows: the lenslet's cell, its centre, apex and curvature; 1 if the ray certainly meets nothing else.
-_COLUMN, _ROW, _CENTRE_X, _CENTRE_Y = SCRATCH, SCRATCH + BLOCK, SCRATCH + 2 * BLOCK, SCRATCH + 3 * BLOCK
+# Working rows: the lenslet's centre, apex and curvature; 1 if the ray certainly meets nothing else.
+_CENTRE_X, _CENTRE_Y = SCRATCH + 2 * BLOCK, SCRATCH + 3 * BLOCK
 _APEX_X, _APEX_Y, _CURVATURE = SCRATCH + 4 * BLOCK, SCRATCH + 5 * BLOCK, SCRATCH + 6 * BLOCK
 _CERTAIN = SCRATCH + 7 * BLOCK
 # In place of the apex: exit point from the layer of faces.
@@ -97,23 +99,22 @@ def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colo
         Receives light absorbed by glass and coating.
     """
     media = mla.media
-    if is_spherical(mla.lenslets.profile):
-        _meet_single_lenslets(bundle, mla, inward)
+    if not inward and has_gradient(mla.gradient):
+        meet_along_curves(mla.gradient, bundle, mla, colour)
     else:
-        for i in range(BLOCK):
-            bundle[_CERTAIN + i] = 0.0
-    for i in range(BLOCK):
-        if bundle[ENDED_ON + i] == 0.0 and bundle[_CERTAIN + i] == 0.0:
-            _meet_singly(bundle, i, mla, inward)
+        _meet_lenslets(bundle, mla, inward)
     _end_on_mask(bundle, mla.lenslets)
     absorb(bundle, media.absorption, AIR if inward else mla.medium, colour, book)
     in_air = inward == mirrors
     if inward:
         diffract(mla.apertures, mla.row, bundle, colour, 1.0)
     _place_on_lenslets(mla.interfaces.phases, bundle, mla.lenslets)
-    divide(bundle, mla.interfaces, mla.row, colour, _indices(mla, inward, colour), not inward, mirrors, book)
+    _divide_at_face(mla.gradient, bundle, mla, inward, mirrors, colour, book)
     if in_air:
         diffract(mla.apertures, mla.row, bundle, colour, -1.0 if mirrors else 1.0)
+    elif has_gradient(mla.gradient):
+        # Until they reach the other face, rays stay in their cell.
+        return
     _find_ways_out(bundle, mla.lenslets, inward != mirrors)
     walked = 0
     for i in range(BLOCK):
@@ -125,6 +126,30 @@ def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colo
         end_by_fate(bundle)
 
 
+@kernel
+def _meet_lenslets(bundle: Array, mla: MlaTables, inward: bool) -> None:
+    """Find the intersections of straight rays with the lenslets of a face."""
+    if is_spherical(mla.lenslets.profile):
+        _meet_single_lenslets(bundle, mla, inward)
+    else:
+        for i in range(BLOCK):
+            bundle[_CERTAIN + i] = 0.0
+    for i in range(BLOCK):
+        if bundle[ENDED_ON + i] == 0.0 and bundle[_CERTAIN + i] == 0.0:
+            _meet_singly(bundle, i, mla, inward)
+
+
+@inlined
+def _divide_at_face(
+    gradient: Any, bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colour: int, book: Array
+) -> None:
+    """Divide rays at their lenslets' faces; `gradient` : CellGradients or None."""
+    if gradient is None:
+        divide(bundle, mla.interfaces, mla.row, colour, _indices(mla, inward, colour), not inward, mirrors, book)
+    else:
+        divide_in_cells(gradient, bundle, mla, inward, mirrors, colour, book)
+
+
 @inlined
 def _end_on_mask(bundle: Array, lenslets: Lenslets) -> None:
     """End rays that meet a lenslet outside its clear aperture, if smaller than the cell."""
@@ -133,7 +158,7 @@ def _end_on_mask(bundle: Array, lenslets: Lenslets) -> None:
         return
     for i in range(BLOCK):
         if bundle[ENDED_ON + i] == 0.0 and bundle[FATE + i] == 0.0:
-            cx, cy = centre(lenslets.lattice, int(bundle[_COLUMN + i]), int(bundle[_ROW + i]))
+            cx, cy = centre(lenslets.lattice, int(bundle[COLUMN + i]), int(bundle[ROW + i]))
             x, y = bundle[AT_X + i] - cx, bundle[AT_Y + i] - cy
             if not x * x + y * y <= clear_radius * clear_radius:
                 bundle[FATE + i] = MLA_MASK + 1.0
@@ -151,7 +176,7 @@ def _place_on_lenslets(phases: Any, bundle: Array, lenslets: Lenslets) -> None:
         return
     for i in range(BLOCK):
         if bundle[ENDED_ON + i] == 0.0 and bundle[FATE + i] == 0.0:
-            column, row = int(bundle[_COLUMN + i]), int(bundle[_ROW + i])
+            column, row = int(bundle[COLUMN + i]), int(bundle[ROW + i])
             cx, cy = centre(lenslets.lattice, column, row)
             _, ex, ey = shape_of(lenslets, column, row)
             bundle[PHASE_X + i], bundle[PHASE_Y + i] = bundle[AT_X + i] - cx - ex, bundle[AT_Y + i] - cy - ey
@@ -263,7 +288,7 @@ def _meet_single_lenslets(bundle: Array, mla: MlaTables, inward: bool) -> None:
     else:
         for i in range(BLOCK):
             if bundle[_CERTAIN + i] > 0.0:
-                curvature, ex, ey = shape_of(lenslets, int(bundle[_COLUMN + i]), int(bundle[_ROW + i]))
+                curvature, ex, ey = shape_of(lenslets, int(bundle[COLUMN + i]), int(bundle[ROW + i]))
                 bundle[_CURVATURE + i] = curvature
                 bundle[_APEX_X + i], bundle[_APEX_Y + i] = bundle[_CENTRE_X + i] + ex, bundle[_CENTRE_Y + i] + ey
     _meet_spheres(bundle, 1.0 if inward else -1.0, safe_x, safe_y)
@@ -287,7 +312,7 @@ def _find_square_cells(bundle: Array, border: float, pitch: float, columns: int,
 @pasted
 def _enter_cell(bundle: Array, i: int, column: float, row: float, columns: int, rows: int) -> None:
     inside = both(both(column >= 0.0, column < columns), both(row >= 0.0, row < rows))
-    bundle[_COLUMN + i], bundle[_ROW + i] = column, row
+    bundle[COLUMN + i], bundle[ROW + i] = column, row
     bundle[_CERTAIN + i] = select(both(inside, bundle[ENDED_ON + i] == 0.0), 1.0, 0.0)
 
 
@@ -389,7 +414,7 @@ def _meet_singly(bundle: Array, i: int, mla: MlaTables, inward: bool) -> None:
         return
     fate, t, column, row = _next_in_layer(bundle, i, mla, inward, column, row, t)
     set_fate(bundle, i, t, fate + 1.0 if fate >= 0 else (0.0 if fate == MEETS_FACE else DROPPED))
-    bundle[_COLUMN + i], bundle[_ROW + i] = column, row
+    bundle[COLUMN + i], bundle[ROW + i] = column, row
     if fate == MEETS_FACE:
         cx, cy = centre(lattice, column, row)
         curvature, ex, ey = shape_of(lenslets, column, row)
@@ -409,7 +434,7 @@ def _leave_singly(bundle: Array, i: int, mla: MlaTables, into_glass: bool, in_ai
     if (bundle[DZ + i] > 0.0) != into_glass:
         drop(bundle, i)
         return
-    column, row = int(bundle[_COLUMN + i]), int(bundle[_ROW + i])
+    column, row = int(bundle[COLUMN + i]), int(bundle[ROW + i])
     fate, t, column, row = _next_in_layer(bundle, i, mla, in_air, column, row, 0.0)
     if fate >= 0:
         set_fate(bundle, i, t, fate + 1.0)

@@ -264,7 +264,7 @@ def mla_tables(
     """Return the meshes of cells for Embree, by station, and the tables of the array.
 
     A mesh has one cell per lenslet type, side by side. An array with lenslets on both faces has two meshes. A flat face
-    with a phase counts as a face of flat lenslets.
+    with a phase, or of a gradient-index plate, counts as a face of flat lenslets.
 
     Parameters
     ----------
@@ -411,7 +411,7 @@ def curved_lenslets(mla: MicrolensArray) -> Lenslets:
 
 
 def other_lenslets(mla: MicrolensArray, front: Lenslets) -> Lenslets | None:
-    """Return the lenslets of the face opposite the curved face; None if it is flat and has no phase.
+    """Return the lenslets of the face opposite the curved face; None if it is flat and `turns_twice` is not set.
 
     Parameters
     ----------

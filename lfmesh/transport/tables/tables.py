@@ -9,6 +9,7 @@ from lfmesh.geometry.array.lenslets import Lenslets
 from lfmesh.geometry.meshes.patch_tree import PatchTree
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined
+from lfmesh.optics.gradients import Gradients
 from lfmesh.transport.tables.lights import Lamps
 from lfmesh.transport.tables.scattering import ScatteringTables
 from lfmesh.transport.tables.varied_gloss import VariedGloss
@@ -107,11 +108,25 @@ class Apertures(NamedTuple):
 
 
 @by_address
+class CellGradients(NamedTuple):
+    """Gradient-index glass of the array's plate, as seen from one of its faces (see `events.gradient_cell`)."""
+
+    gradients: Gradients  # one profile per wavelength, about the axis of a lenslet
+    steps: NDArray[np.int64]  # (wavelengths,) equal steps of a ray from face to face
+    longest: Array  # (wavelengths,) mm in σ, longest step; rays that need longer ones take more
+    outside: Array  # (wavelengths,) refractive index of the medium outside the plate
+    acceptance: Array  # (wavelengths,) approximate tangent of the steepest rays outside that pass through a lenslet
+    axes: Array  # (cells, 2) mm, axis of each gradient from its cell's centre; (0, 2): all in the centres
+    opposite: Lenslets  # lenslets of the face at the other end of the plate
+    clear_walls: bool  # light that reaches a wall goes on in the next cell
+
+
+@by_address
 class MlaTables(NamedTuple):
     """The microlens array in its own frame, z from the curved face into the glass; one cell mesh per type.
 
     If both faces have lenslets, these are the tables of the face towards the sensor, and `back` those of the other
-    face, in its own frame with z from that face into the glass.
+    face, in its own frame with z from that face into the glass. Both faces of a gradient-index plate count as such.
     """
 
     present: bool
@@ -134,6 +149,8 @@ class MlaTables(NamedTuple):
     back: Any = None
     # Apertures if they diffract, else None, likewise.
     apertures: Any = None
+    # CellGradients if the plate is gradient-index glass, else None, likewise.
+    gradient: Any = None
 
 
 def undiffracted(mla: MlaTables) -> MlaTables:

@@ -27,7 +27,7 @@ from lfmesh.transport.sequences.bundle import (
     set_fate,
     set_normal,
 )
-from lfmesh.transport.sequences.local_division import divide_locally
+from lfmesh.transport.sequences.division import divide_by_place
 from lfmesh.transport.tables.tables import AIR, CellGradients, MlaTables
 
 Array = NDArray[np.float64]
@@ -97,4 +97,4 @@ def divide_in_cells(
             at = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
             glass = index_in_cell(gradient, mla, colour, column, row, at)
             bundle[INDEX_BEFORE + i], bundle[INDEX_BEHIND + i] = (outside, glass) if inward else (glass, outside)
-    divide_locally(bundle, mla.interfaces, mla.row, colour, not inward, mirrors, book)
+    divide_by_place(gradient, bundle, mla.interfaces, mla.row, colour, not inward, mirrors, book)

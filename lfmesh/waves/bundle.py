@@ -20,6 +20,7 @@ from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.literals import percent
 from lfmesh.transport.sequences.follower import route_of
+from lfmesh.transport.sequences.gradient_gaps import gap_paths
 from lfmesh.transport.sequences.ray_tables import (
     Arrived,
     follow_sequence,
@@ -31,7 +32,8 @@ from lfmesh.transport.sequences.sequences import LENS_LEG, Leg, image_path
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
 from lfmesh.waves.phase_path import phase_path_mm
-from lfmesh.waves.stop_aim import INSIDE, Edge, Ends, Sent, StopAim
+from lfmesh.waves.ray_ends import Edge, Ends
+from lfmesh.waves.stop_aim import INSIDE, Sent, StopAim, gradient_spaces
 
 Array = NDArray[np.float64]
 
@@ -107,7 +109,8 @@ class Traced(NamedTuple):
     path_mm : (n,) float64
         Optical path from the object point to `position`, less that to the origin; for parallel bundles, from the
         perpendicular plane through the origin. Behind ideal lenses, with equal paths from point to image, less a common
-        constant. At a diffractive face the path grows by m λ Φ / 2π.
+        constant. At a diffractive face the path grows by m λ Φ / 2π. In gradient-index glass it is the integral of the
+        index along the curved ray.
     heights : (n, faces) float64
         Distance from the axis at each refracting face, over its semi-diameter.
     index_behind : float
@@ -330,11 +333,14 @@ class LensRays:
         lens, route = without_apertures(tables.lens), route_of([Leg(LENS_LEG, (0,), (False,), True)], checked=False)
         media = [refractive_index(medium, wavelength_nm) for medium in shape.media]
         path = media[0] * path
-        heights = np.empty((len(position), len(media) - 1))
+        heights, curved = np.empty((len(position), len(media) - 1)), gradient_spaces(lens)
         for face, index in enumerate(media[:-1]):
             alone = tables._replace(lens=lens_of_faces(lens, face, face + 1)).camera
             arrived = follow_to(alone, route, position, direction)
-            path = path + index * np.linalg.norm(arrived.position - position, axis=1)
+            if curved[face]:
+                path = path + gap_paths(lens, face, 0, position, direction)
+            else:
+                path = path + index * np.linalg.norm(arrived.position - position, axis=1)
             position, direction = arrived.position, arrived.direction
             own = frames.points(frames.inverse(pose_of(glass, shape.numbers[face])), position)
             phase = glass.surfaces[shape.numbers[face]].phase

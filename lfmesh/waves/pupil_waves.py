@@ -21,6 +21,7 @@ from lfmesh.geometry.lens.solved_camera import SolvedCamera
 from lfmesh.scene.literals import plain
 from lfmesh.transport.world import World
 from lfmesh.waves.bundle import PARALLEL, Bundle, LensRays, nearest_to_all, pupil_grid
+from lfmesh.waves.ray_ends import IN_GRADIENT
 from lfmesh.waves.refused import NoLightError
 from lfmesh.waves.wavefront import NM_PER_MM
 
@@ -217,14 +218,15 @@ def waves_of_field(
     NoLightError
         None of its light passes.
     LfmeshError
-        Meshes, ideal lenses beside real ones, too few rays, rays that cross before the stop, or light that is
-        collimated or too aberrated behind the lens.
+        Meshes, ideal lenses beside real ones, too few rays, rays that cross before the stop, rays that end inside
+        gradient-index glass, or light that is collimated or too aberrated behind the lens.
     """
     bundle = rays.bundle(slope, pupil_grid(ACROSS, rim=True), wavelength_nm)
     passes = bundle.passes
     if not passes.any():
         raise NoLightError("the lens transmits none of its light; move it into the field of view")
     _refuse_few(bundle, LEAST_RAYS)
+    _refuse_ends_in_gradients(bundle)
     traced = rays.traced(slope, bundle.entry[passes], wavelength_nm)
     direction, wavelength = traced.direction, wavelength_nm / NM_PER_MM
     found = _focus(traced.position, direction)
@@ -292,6 +294,17 @@ def _refuse_few(bundle: Bundle, least: int) -> None:
     if bundle.passes.sum() < least:
         raise LfmeshError(
             f"only {bundle.passes.sum()} of {len(bundle.passes)} rays of this point pass the lens; move it"
+        )
+
+
+def _refuse_ends_in_gradients(bundle: Bundle) -> None:
+    """Refuse a point with rays that end between the faces of gradient-index glass; rims are known on faces alone."""
+    inside = np.flatnonzero(np.isin(bundle.ends.edge, IN_GRADIENT))
+    if len(inside):
+        number = int(bundle.ends.surface[inside[0]])
+        raise LfmeshError(
+            f"camera.lens.surfaces[{number}].gradient: {len(inside)} of {len(bundle.passes)} rays of this point end "
+            "inside the glass, between its faces; waves are cut off at faces alone: give a smaller stop or wider glass"
         )
 
 

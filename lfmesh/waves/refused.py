@@ -112,13 +112,18 @@ def numbers_of(name: str, given: object) -> Array:
 
 
 def refuse_scene(scene: Scene) -> None:
-    """Refuse a scene with media, tanks, bodies of glass or a polariser."""
+    """Refuse a scene with media, tanks, bodies of glass, gradient-index lenslets or a polariser."""
     if scene.media or scene.tanks:
         name = "media" if scene.media else "tanks"
         raise LfmeshError(f"{name}: a point spread cannot be computed through them; omit them")
     body = next((i for i, target in enumerate(scene.targets) if target.refractor is not None), None)
     if body is not None:
         raise LfmeshError(f"targets[{body}] is a body of glass: a point spread cannot be computed through it; omit it")
+    if scene.camera.mla is not None and scene.camera.mla.gradient is not None:
+        raise LfmeshError(
+            "camera.mla.gradient: waves are not followed through gradient-index lenslets; trace rays, with "
+            'transport.diffraction = "none"'
+        )
     if scene.camera.polariser_deg is not None:
         raise LfmeshError(
             f"camera.polariser_deg = {scene.camera.polariser_deg:g}: a point spread has no polarisation; omit it"

@@ -7,7 +7,6 @@ Positions are in the camera frame, mm.
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import cached_property
 from typing import NamedTuple
 
@@ -19,16 +18,15 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.optics.ray_aiming import ContinuedRays, aim_rays, continue_rays
-from lfmesh.scene import Lens
-from lfmesh.scene.literals import percent
 from lfmesh.transport.packets.book import STOP
 from lfmesh.transport.sequences.bundle import DROPPED
 from lfmesh.transport.sequences.follower import route_of
 from lfmesh.transport.sequences.ray_tables import Arrived, follow_to, without_apertures
 from lfmesh.transport.sequences.sequences import LENS_LEG, Leg
-from lfmesh.transport.tables.tables import Camera
+from lfmesh.transport.tables.tables import Camera, LensTables
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
+from lfmesh.waves.ray_ends import IN_GRADIENT, Edge, Ends
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -62,67 +60,6 @@ NEAR_FOLD = 1e-2
 
 TRIALS = 33
 """Trial rays along each axis of the front, if no ray can be continued from the axis."""
-
-
-class Edge(IntEnum):
-    """Cause of the end of a ray."""
-
-    NONE = 0
-    APERTURE = 1
-    STOP = 2
-    MISSED = 3
-    REFLECTED = 4
-    OTHER_SIDE = 5
-    CAUSTIC = 6
-    UNKNOWN = 7
-    EVANESCENT = 8
-
-
-WORDS = {
-    Edge.APERTURE: "the clear aperture of surfaces[{}]",
-    Edge.STOP: "the stop, surfaces[{}]",
-    Edge.MISSED: "the end of surfaces[{}]",
-    Edge.REFLECTED: "total reflection at surfaces[{}]",
-    Edge.OTHER_SIDE: "another side of surfaces[{}]",
-    Edge.CAUSTIC: "a caustic before the stop, beyond which no ray comes",
-    Edge.UNKNOWN: "an unknown edge: ray aiming did not converge",
-    Edge.EVANESCENT: "total reflection, or an order that is evanescent or without light, at surfaces[{}]",
-}
-"""Description of each edge, with the number of the surface."""
-
-
-class Ends(NamedTuple):
-    """Ends of rays.
-
-    Attributes
-    ----------
-    edge : (n,) int64
-        See `Edge`.
-    surface : (n,) int64
-        Number of the surface in the prescription; −1 for none.
-    """
-
-    edge: Whole
-    surface: Whole
-
-    def with_diffraction(self, lens: Lens) -> "Ends":
-        """Return the ends with total reflection at diffractive faces named for its other cause, too."""
-        diffractive = [i for i, surface in enumerate(lens.surfaces) if surface.phase is not None]
-        either = (self.edge == Edge.REFLECTED) & np.isin(self.surface, diffractive)
-        return Ends(np.where(either, int(Edge.EVANESCENT), self.edge), self.surface)
-
-    def words_of(self, ray: int) -> str:
-        """Return the name of the edge that ends a ray."""
-        return WORDS[Edge(self.edge[ray])].format(self.surface[ray])
-
-    def words(self) -> list[str]:
-        """Return each edge that ends rays, with its fraction of all rays."""
-        pairs, count = np.unique(np.stack([self.edge, self.surface]), axis=1, return_counts=True)
-        return [
-            f"{percent(n / len(self.edge))} by {WORDS[Edge(edge)].format(surface)}"
-            for (edge, surface), n in zip(pairs.T, count, strict=True)
-            if edge != Edge.NONE
-        ]
 
 
 class Sent(NamedTuple):
@@ -483,9 +420,8 @@ class StopAim:
                 trial = start[open_] + reach * way[open_]
                 arrived = self._unbounded(slope[open_], trial, wavelength_nm, self._faces_to_stop)
                 lost = ~(arrived.weight > 0.0)
-                reflected = arrived.ended[lost] == DROPPED
-                edge[open_[lost]] = np.where(reflected, Edge.REFLECTED, Edge.MISSED)
-                surface[open_[lost]] = numbers[arrived.met[lost] - reflected]
+                edge[open_[lost]], on_last = self._lost_at(arrived.ended[lost], arrived.met[lost])
+                surface[open_[lost]] = numbers[arrived.met[lost] - on_last]
         before = self._senses(slope, start, wavelength_nm)
         for reach in np.geomspace(1e-2, 1.0, 3) * NEAR_FOLD * self.front_radius:
             for way in (across[:, 1], -across[:, 1]):
@@ -499,11 +435,24 @@ class StopAim:
         """Return the ends of the rays of a field without any ray through the stop."""
         slope = field[None]
         arrived = self._unbounded(slope, np.zeros((1, 2)), wavelength_nm, self._faces_to_stop)
-        reflected = arrived.ended[0] == DROPPED
-        edge = Edge.REFLECTED if reflected else Edge.MISSED
-        number = self.world.lens_shape.numbers[max(0, min(int(arrived.met[0]) - reflected, self._faces_to_stop - 1))]
-        ends = Ends(np.full(count, int(edge)), np.full(count, number))
+        edge, on_last = self._lost_at(arrived.ended, arrived.met)
+        met = int(arrived.met[0] - on_last[0])
+        number = self.world.lens_shape.numbers[max(0, min(met, self._faces_to_stop - 1))]
+        ends = Ends(np.full(count, edge[0]), np.full(count, number))
         return ends.with_diffraction(self.world.scene.camera.lens)
+
+    def _lost_at(self, ended: Array, met: Whole) -> tuple[Whole, Whole]:
+        """Return the edges that end rays traced without apertures, (n,), and 1 if one belongs to the last face met.
+
+        Parameters
+        ----------
+        ended, met : (n,)
+            Of `Arrived`, for rays that do not pass.
+        """
+        reflected = ended == DROPPED
+        turned = gradient_spaces(self.world.tables.lens)[met] & ~reflected & (ended != 0.0)
+        edge = np.select([reflected, turned], [Edge.REFLECTED, Edge.TURNED], Edge.MISSED)
+        return edge, (reflected | turned).astype(np.int64)
 
     def stopped(self, slope: Array, entry: Array, arrived: Arrived, wavelength_nm: float) -> Ends:
         """Return the ends of rays traced through the whole lens with its apertures.
@@ -521,19 +470,29 @@ class StopAim:
         edge, met = np.zeros(len(entry), np.int64), arrived.met.copy()
         ended = np.flatnonzero(~(arrived.weight > 0.0))
         if len(ended):
-            free = self.unstopped(slope[ended], entry[ended], wavelength_nm)
-            dropped = arrived.ended[ended] == DROPPED
+            free, lens = self.unstopped(slope[ended], entry[ended], wavelength_nm), self.world.tables.lens
+            code, missed = arrived.ended[ended], free.met <= met[ended]
+            dropped = code == DROPPED
             reflected = dropped & (free.ended == DROPPED) & (free.met == met[ended])
-            met[ended] -= reflected
+            inside = gradient_spaces(lens)[met[ended]] & ~dropped
+            at_edge = inside & (code == lens.ring_slot[met[ended]] + 1.0)
             edge[ended] = np.select(
-                [arrived.ended[ended] == STOP + 1.0, reflected, dropped, free.met <= met[ended]],
-                [Edge.STOP, Edge.REFLECTED, Edge.OTHER_SIDE, Edge.MISSED],
+                [code == STOP + 1.0, reflected, dropped, inside & missed, at_edge, missed],
+                [Edge.STOP, Edge.REFLECTED, Edge.OTHER_SIDE, Edge.TURNED, Edge.GLASS_EDGE, Edge.MISSED],
                 Edge.APERTURE,
             )
+            met[ended] -= reflected | np.isin(edge[ended], IN_GRADIENT)
         # A ray that meets the last surface again has met all of them.
         surface = np.where(edge == Edge.STOP, self.stop, numbers[np.minimum(met, faces - 1)])
         ends = Ends(edge, np.where(edge == Edge.NONE, -1, surface))
         return ends.with_diffraction(self.world.scene.camera.lens)
+
+
+def gradient_spaces(lens: LensTables) -> NDArray[np.bool_]:
+    """Tell which spaces of a lens are filled with gradient-index glass, (faces + 1,)."""
+    if lens.gradients is None:
+        return np.zeros(len(lens.medium), np.bool_)
+    return np.asarray(lens.gradients.number >= 0)
 
 
 def _rings() -> Array:

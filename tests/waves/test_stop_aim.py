@@ -11,7 +11,7 @@ from pydantic import ValidationError
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.waves.bundle import Bundle, LensRays, pupil_grid
-from lfmesh.waves.stop_aim import Edge
+from lfmesh.waves.ray_ends import Edge
 from tests.waves.brute_pupil import Prescription, Reached, reached
 
 Array = NDArray[np.float64]

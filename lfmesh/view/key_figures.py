@@ -17,6 +17,7 @@ from lfmesh.lightfield.photographs.depth_truth import DepthTruth
 from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Photograph
 from lfmesh.lightfield.views.field import LightField
 from lfmesh.scene import FirstOrder, Scene
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.literals import counted, percent
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import Status
@@ -208,9 +209,12 @@ def _(paths: Paths) -> Rows:
 def _(world: World) -> Rows:
     mla = world.scene.camera.mla
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(world.scene.targets)]
+    shape = world.lens_shape
+    gradients = sum(isinstance(shape.media[k + 1], Gradient) for k in shape.elements)
+    elements = counted(len(shape.elements), "element") + (f", {gradients} of gradient-index glass" if gradients else "")
     return [
         ("scene", world.scene.title or "unnamed"),
-        ("lens", f"{counted(len(world.lens_shape.elements), 'element')}, f = {world.facts.efl_mm:.4g} mm"),
+        ("lens", f"{elements}, f = {world.facts.efl_mm:.4g} mm"),
         ("array", "none" if mla is None else f"{mla.count[0]} × {mla.count[1]} lenslets"),
         ("sensor", "{} × {} pixels".format(*world.scene.camera.sensor.pixels)),
         ("targets", ", ".join(targets) or "none"),

@@ -323,7 +323,7 @@ class RaysPanel:
         state.picked_left = 2
         state.picked_rows = [_step_cells(step)[:columns] for step in steps]
         state.picked_at = int(found.vertex) - first
-        line = pv.lines_from_points(rays.position[first : rays.offsets[found.path + 1]])
+        line = pv.lines_from_points(rays.line(found.path))
         self._view.plotter.add_mesh(
             line, name=PICKED, color=PICKED_COLOUR, line_width=PICKED_WIDTH, lighting=False,
             reset_camera=False, render=False,

@@ -167,7 +167,10 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
     _draw_targets(view, drawn.targets)
     _draw_lens(view, drawn)
     view.rays(drawn.bundles, FIELD_COLOURS, 0.7)
-    names = [(*_top([glass.outline]), f"L{i + 1}") for i, glass in enumerate(drawn.glass)]
+    names = [
+        (*_top([glass.outline]), f"L{i + 1}{' GRIN' if glass.is_gradient else ''}")
+        for i, glass in enumerate(drawn.glass)
+    ]
     names += [(*_top(thin.lines), f"{label(thin.name)} f = {thin.focal_length_mm:.5g} mm") for thin in drawn.thin]
     names.append((float(drawn.stop[0]), 1.3 * float(drawn.stop[1]), f"stop ⌀ {2 * drawn.stop[1]:.4g} mm"))
     if drawn.mla is not None:

@@ -19,6 +19,7 @@ from lfmesh.geometry.surfaces.edges import ring_profile
 from lfmesh.geometry.surfaces.sag import heights
 from lfmesh.geometry.surfaces.surface import is_revolved
 from lfmesh.geometry.surfaces.tessellation import cap, mesh_heights
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.lens import Lens
 
 PROFILE_POINTS = 121
@@ -45,6 +46,9 @@ class Glass(NamedTuple):
     name : str
         Name in `World.mesh`.
     refractive_index : float
+        Of gradient-index glass, at the vertex of its front.
+    is_gradient : bool
+        True for gradient-index glass.
     front, back : (n, 2) float64, mm
         Profiles of its two faces, z and y, from the lower rim to the upper one; identical where two elements are
         cemented.
@@ -54,6 +58,7 @@ class Glass(NamedTuple):
 
     name: str
     refractive_index: float
+    is_gradient: bool
     front: Array
     back: Array
     outline: Array
@@ -191,7 +196,8 @@ def lens_glass(shape: LensShape, indices: Array) -> list[Glass]:
             edge = _edge(shape, k)
             lower = np.column_stack([edge[:, 0], -edge[:, 1]])
             outline = np.concatenate([front, edge[1:-1], back[::-1], lower[::-1][1:-1]])
-        elements.append(Glass(f"lens[{number}]", float(indices[k + 1]), front, back, outline))
+        is_gradient = isinstance(shape.media[k + 1], Gradient)
+        elements.append(Glass(f"lens[{number}]", float(indices[k + 1]), is_gradient, front, back, outline))
     return elements
 
 

@@ -192,7 +192,7 @@ class View:
             Line width.
         """
         for bundle, colour in zip(bundles, colours, strict=True):
-            self.lines([ray.points[:, [2, 1]] for ray in bundle.rays], colors=colour, linewidths=width, zorder=3)
+            self.lines([ray.line[:, [2, 1]] for ray in bundle.rays], colors=colour, linewidths=width, zorder=3)
 
     def axis(self) -> None:
         """Draw the optical axis."""

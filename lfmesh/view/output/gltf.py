@@ -60,7 +60,10 @@ def _body(part: Part, mesh: pv.PolyData) -> trimesh.Trimesh:
 def _rays(view: View) -> trimesh.path.Path3D:
     assert view.lines is not None
     assert view.ray_mesh is not None
-    ends = METRES * view.lines.ends
+    points, firsts = view.lines.points
     rgb = np.asarray(view.ray_mesh.cell_data["rgba"])[:, :3]
-    lines = [Line([2 * i, 2 * i + 1], color=[*colour, 255]) for i, colour in enumerate(rgb)]
-    return trimesh.path.Path3D(entities=lines, vertices=ends.reshape(-1, 3), process=False)
+    lines = [
+        Line(np.arange(first, end), color=[*colour, 255])
+        for first, end, colour in zip(firsts, firsts[1:], rgb, strict=False)
+    ]
+    return trimesh.path.Path3D(entities=lines, vertices=METRES * points, process=False)

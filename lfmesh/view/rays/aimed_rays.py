@@ -5,7 +5,7 @@ surfaces are facets or glass stands before the lens, from a fan of trial rays. P
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,7 @@ from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import World
+from lfmesh.view.rays.gradient_segments import Vertices, curves_of, gradient_segments, has_gradients, line_of
 from lfmesh.waves.stop_aim import INSIDE, StopAim
 
 Array = NDArray[np.float64]
@@ -52,12 +53,19 @@ class AimedRay:
         Position on the last lens surface and unit direction behind it; NaN if it does not get there.
     status : Status
         How it ended.
+    face, event : (m,) int64
+        Number of the refracting surface at each point (−1: none), and the event there.
+    line : (k, 3) float64, mm
+        The points, with others along curves in gradient-index glass.
     """
 
     points: Array
     at_stop: Array
     leaving: Array
     status: Status
+    face: NDArray[np.int64]
+    event: NDArray[np.int64]
+    line: Array
 
     def beyond_lens(self, z: float) -> Array:
         """Return x and y (2,), mm, where the extended ray behind the lens crosses a plane."""
@@ -106,7 +114,7 @@ class Aim:
         """
         slope = np.asarray(slope, dtype=np.float64).reshape(-1, 2)
         aim = np.asarray(stop, dtype=np.float64).reshape(-1, 2) * (self.stop_radius * INSIDE)
-        return self._aimed(slope, aim, self._guess(slope, aim))[0]
+        return self._with_curves(self._aimed(slope, aim, self._guess(slope, aim))[0])
 
     def slopes_to(self, targets: ArrayLike, stop: ArrayLike = (0.0, 0.0)) -> Array:
         """Return the slopes (n, 2) of object points with rays that meet targets in the air behind the lens.
@@ -182,12 +190,32 @@ class Aim:
             points = frames.points(to_camera, [vertex.position for vertex in vertices])
             names = [vertex.surface for vertex in vertices]
             status = Status(int(paths.status[packet]))
-            if not any(name in self._names for name in names):
+            face = np.array([self._names.index(name) if name in self._names else -1 for name in names])
+            event = np.array([vertex.event for vertex in vertices])
+            if (face < 0).all():
                 direction = frames.directions(to_camera, paths.direction[packet])
                 points = self._ended_before_lens(points, direction, escaped=status == Status.ESCAPED)
-            rays[source] = AimedRay(points, self._at_stop(points, names), self._leaving(points, names), status)
-        nowhere = np.full(2, np.nan), np.full((2, 3), np.nan)
-        return [ray or AimedRay(p[None], *nowhere, Status.LOST) for ray, p in zip(rays, start, strict=True)]
+                face, event = np.full(len(points), -1), np.zeros(len(points), np.int64)
+            at_stop, leaving = self._at_stop(points, names), self._leaving(points, names)
+            rays[source] = AimedRay(points, at_stop, leaving, status, face, event, points)
+        nowhere = np.full(2, np.nan), np.full((2, 3), np.nan), Status.LOST, np.array([-1]), np.array([0])
+        return [ray or AimedRay(p[None], *nowhere, p[None]) for ray, p in zip(rays, start, strict=True)]
+
+    def _with_curves(self, rays: list[AimedRay]) -> list[AimedRay]:
+        """Return rays with points along their curves in gradient-index glass."""
+        if not has_gradients(self.world) or not rays:
+            return rays
+        offsets = np.cumsum([0, *(len(ray.points) for ray in rays)])
+        position, face, event = (
+            np.concatenate(each) for each in zip(*((ray.points, ray.face, ray.event) for ray in rays), strict=True)
+        )
+        vertices = Vertices(position, face, event, offsets, np.full(len(rays), self.wavelength_nm))
+        segments = gradient_segments(self.world, vertices)
+        curves = curves_of(self.world, vertices, segments)
+        return [
+            replace(ray, line=line_of(position, first, last - 1, curves))
+            for ray, first, last in zip(rays, offsets.tolist(), offsets[1:].tolist(), strict=False)
+        ]
 
     def _ended_before_lens(self, points: Array, direction: Array, *, escaped: bool) -> Array:
         """Return a path that misses the first surface, up to the plane of that surface's rim."""

@@ -17,6 +17,7 @@ from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.geometry.surfaces.sag import normals
 from lfmesh.geometry.surfaces.surface import in_place
 from lfmesh.optics.glass import Medium, medium_in_words, refractive_index
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.phase import AnyPhase
 from lfmesh.scene.first_order.phase_turns import phase_gradients
 from lfmesh.scene.literals import percent
@@ -25,6 +26,7 @@ from lfmesh.transport.packets.packet import BACK_FACE, CAMERA_FRAME, CURVED_FACE
 from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW
 from lfmesh.transport.tables.interfaces import InterfaceTables, interface_tables
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, Interfaces, body_row
+from lfmesh.view.rays.gradient_segments import has_gradients, indices_in, lens_at
 from lfmesh.view.rays.names import BACK, CURVED, FLAT, FRONT, REAR, SENSOR, label, target_names
 from lfmesh.view.rays.paths import Rays
 
@@ -55,7 +57,7 @@ class Step:
     medium : str
         Medium after the vertex, or at the end: "air", "n = 1.67", "SCHOTT/N-BK7".
     index : float
-        Its refractive index at the path's wavelength.
+        Its refractive index at the path's wavelength; of gradient-index glass, at the vertex.
     power : float
         Power after the vertex, or at the end.
     roulette : float
@@ -64,6 +66,8 @@ class Step:
         Diffraction order; None at faces without a phase.
     order_share : float
         Fraction of the transmitted or reflected light in this order.
+    in_gradient : bool
+        True if the medium is gradient-index glass.
     """
 
     surface: str
@@ -79,6 +83,12 @@ class Step:
     roulette: float
     order: int | None = None
     order_share: float = 1.0
+    in_gradient: bool = False
+
+    @property
+    def medium_in_short(self) -> str:
+        """The medium in at most 13 characters; gradient-index glass by its index at the vertex."""
+        return f"n = {self.index:.6g}" if self.in_gradient else self.medium[:13]
 
     @property
     def event_in_short(self) -> str:
@@ -147,12 +157,12 @@ def history(rays: Rays, path: int) -> list[Step]:
         power = left = float(rays.power[vertex])
         if met is not None and vertex > first:
             other = medium if met.table is None else _medium_beyond(rays, vertex, met.outside)
-            n_i, n_t = refractive_index(medium, wavelength), refractive_index(other, wavelength)
+            n_i, n_t = _index(rays, vertex, medium, wavelength), _index(rays, vertex, other, wavelength, beyond=True)
             cosine = _cosine(rays, vertex, met.normal, n_i, n_t)
             row = met.row if met.body is None else _row_of_body(rays, met.body, medium, other)
             incidence = None if cosine is None else float(np.degrees(np.arccos(cosine)))
             if cosine is not None and met.table is not None and event in (Event.TRANSMITTED, Event.REFLECTED):
-                ways, sides = (_direction(rays, vertex - 1), _direction(rays, vertex)), (n_i, n_t, cosine)
+                ways, sides = (_arriving(rays, vertex), _leaving(rays, vertex)), (n_i, n_t, cosine)
                 order, part = _order(met, event, wavelength, ways, (medium, other))
                 if order is not None and rays.unit != "W":
                     sides = _against_light(met, event, ways[1], sides)
@@ -161,11 +171,12 @@ def history(rays: Rays, path: int) -> list[Step]:
                     left = steps[-1].power * (transmittance if event == Event.TRANSMITTED else reflectance) * part
             medium = other if event == Event.TRANSMITTED else medium
         name = rays.surfaces[rays.surface[vertex]]
+        index = _index(rays, vertex, medium, wavelength, beyond=event == Event.TRANSMITTED)
         steps.append(
             Step(
                 name, label(name), event, rays.position[vertex], incidence, reflectance, transmittance,
-                medium_in_words(medium), refractive_index(medium, wavelength),
-                power, power / left if left > 0.0 else 1.0, order, part,
+                medium_in_words(medium), index, power, power / left if left > 0.0 else 1.0, order, part,
+                isinstance(medium, Gradient),
             )
         )  # fmt: skip
     return steps
@@ -181,13 +192,46 @@ def lines(steps: list[Step], unit: str) -> list[str]:
         raised = factor if step.was_raised else ""
         lines.append(
             f"{step.short[:16]:<17}{step.event_in_short:<9}{angle:>7}{r:>7}{t:>7}"
-            f"{step.power:12.4e}{raised:>7} {step.medium[:13]}"
+            f"{step.power:12.4e}{raised:>7} {step.medium_in_short}"
         )
     return lines
 
 
-def _direction(rays: Rays, vertex: int) -> Vector | None:
+def _index(rays: Rays, vertex: int, medium: Medium, wavelength_nm: float, *, beyond: bool = False) -> float:
+    """Return the index of a medium at a vertex: of the one that a path arrives in, or of the one beyond the face."""
+    if not isinstance(medium, Gradient):
+        return refractive_index(medium, wavelength_nm)
+    space = int(rays.gradients.space_behind[vertex - 1])
+    if beyond:
+        space = 2 * (int(rays.surface[vertex]) - 1) + 1 - space
+    place = frames.points(rays.world.tables.frames[WORLD_FRAME, CAMERA_FRAME], rays.position[vertex][None])
+    return float(indices_in(lens_at(rays.world, wavelength_nm), space, place)[0])
+
+
+def _arriving(rays: Rays, vertex: int) -> Vector | None:
+    """Return the direction in which a path arrives at a vertex; None if the last vertex coincides."""
+    curved = _curved(rays, vertex - 1)
+    return _chord(rays, vertex - 1) if curved is None else curved[1]
+
+
+def _leaving(rays: Rays, vertex: int) -> Vector | None:
     """Return the direction of a path after a vertex; None if the next vertex coincides."""
+    curved = _curved(rays, vertex)
+    return _chord(rays, vertex) if curved is None else curved[0]
+
+
+def _curved(rays: Rays, vertex: int) -> tuple[Vector, Vector] | None:
+    """Return the directions at both ends of a segment in gradient-index glass, by its first vertex, or None."""
+    number = rays.gradients.number_of(vertex) if has_gradients(rays.world) else None
+    if number is None:
+        return None
+    both = np.stack([rays.gradients.leaving[number], rays.gradients.arriving[number]])
+    leaving, arriving = frames.directions(rays.world.tables.frames[CAMERA_FRAME, WORLD_FRAME], both)
+    return leaving, arriving
+
+
+def _chord(rays: Rays, vertex: int) -> Vector | None:
+    """Return the direction from a vertex to the next; None if these coincide."""
     step = rays.position[vertex + 1] - rays.position[vertex]
     length = float(np.linalg.norm(step))
     return step / length if length > 0.0 else None
@@ -195,12 +239,12 @@ def _direction(rays: Rays, vertex: int) -> Vector | None:
 
 def _cosine(rays: Rays, vertex: int, normal: Vector | None, n_i: float, n_t: float) -> float | None:
     """Return the cosine of incidence at a vertex; None if indeterminate."""
-    arriving = _direction(rays, vertex - 1)
+    arriving = _arriving(rays, vertex)
     if arriving is None:
         return None
     if normal is None:
         # Snell's law preserves the tangential part of n d, so the change is along the normal.
-        leaving = _direction(rays, vertex)
+        leaving = _leaving(rays, vertex)
         if leaving is None:
             return None
         change = leaving - arriving if rays.event[vertex] == Event.REFLECTED else n_t * leaving - n_i * arriving

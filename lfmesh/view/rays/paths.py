@@ -18,6 +18,15 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, NO_SURFACE, SENSOR_FRA
 from lfmesh.transport.tables.particles import corners_round
 from lfmesh.transport.tables.tables import Records
 from lfmesh.transport.world import World
+from lfmesh.view.rays.gradient_segments import (
+    Curves,
+    GradientSegments,
+    Vertices,
+    curves_of,
+    gradient_segments,
+    has_gradients,
+    line_of,
+)
 from lfmesh.view.rays.names import BACK, CURVED, label, mirror_names, surface_names, surface_numbers
 
 Ints = NDArray[np.int64]
@@ -140,6 +149,37 @@ class Rays:
     def path(self) -> Ints:
         """(m,) path of each vertex."""
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
+
+    @cached_property
+    def gradients(self) -> GradientSegments:
+        """Segments in gradient-index glass, camera frame."""
+        return gradient_segments(self.world, self._vertices)
+
+    @cached_property
+    def _vertices(self) -> Vertices:
+        to_camera = self.world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
+        face = self.surface - 1
+        face = np.where(face < len(self.world.lens_shape.surfaces), face, -1)
+        return Vertices(
+            frames.points(to_camera, self.position), face, self.event, self.offsets, self.wavelength_nm
+        )  # fmt: skip
+
+    def curves(self, vertices: Ints) -> Curves:
+        """Return points along the curved segments that begin at some vertices (k,), world frame."""
+        if not has_gradients(self.world):
+            return {}
+        chosen = self.gradients.of(np.flatnonzero(np.isin(self.gradients.vertex, vertices)))
+        to_world = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+        curves = curves_of(self.world, self._vertices, chosen)
+        for vertex, points in curves.items():
+            curves[vertex] = frames.points(to_world, points)
+            curves[vertex][[0, -1]] = self.position[[vertex, vertex + 1]]
+        return curves
+
+    def line(self, path: int) -> Floats:
+        """Return the vertices of a path, with points along its curved segments, (points, 3) mm, world frame."""
+        first, last = int(self.offsets[path]), int(self.offsets[path + 1]) - 1
+        return line_of(self.position, first, last, self.curves(np.arange(first, last)))
 
     @cached_property
     def end_power(self) -> Floats:

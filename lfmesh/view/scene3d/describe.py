@@ -5,7 +5,9 @@ from collections.abc import Set
 
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import Medium, medium_in_words, refractive_index
+from lfmesh.optics.gradients import fields_at, gradient_table
 from lfmesh.scene import Surface
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.first_order.phase_lines import least_period_mm
 from lfmesh.scene.light.spectra import Spectrum, spectral_in_words
 from lfmesh.scene.model import Model
@@ -94,7 +96,7 @@ def _element(world: World, number: int) -> Rows:
     thickness = vertices[shape.numbers[k + 1]] - vertices[shape.numbers[k]]
     return [
         ("element", f"lens[{number}], {label(names[k])} to {label(names[k + 1])}"),
-        ("glass", _medium(world, shape.media[k + 1])),
+        *_glass(world, shape.media[k + 1], thickness, front.semi_diameter_mm),
         ("thickness", f"{thickness:.6g} mm"),
         *(("front", words) for words in [_surface(front, shape.numbers[k])]),
         *(("back", words) for words in [_surface(back, shape.numbers[k + 1])]),
@@ -135,6 +137,31 @@ def _medium(world: World, medium: Medium) -> str:
     return index if index.startswith(words) else f"{words}, {index}"
 
 
+def _glass(world: World, medium: Medium, thickness_mm: float, radius_mm: float | None) -> Rows:
+    """Describe glass; gradient-index glass with its index on the axis and at the rim of its front.
+
+    Parameters
+    ----------
+    world : World
+    medium : Medium
+    thickness_mm : float
+    radius_mm : float, optional
+        Distance of the rim from the axis.
+    """
+    if not isinstance(medium, Gradient):
+        return [("glass", _medium(world, medium))]
+    wavelength = world.scene.primary_nm
+    radius = radius_mm or 0.0
+    points = {
+        "front vertex": (0.0, 0.0, 0.0),
+        "rear vertex": (0.0, 0.0, thickness_mm),
+        f"{radius:.4g} mm from the axis in y": (0.0, radius, 0.0),
+    }
+    squares = fields_at(gradient_table([medium.profile(wavelength)]), 0, list(points.values()))[:, 0]
+    indices = [f"{math.sqrt(max(square, 0.0)):.6g}, {place}" for square, place in zip(squares, points, strict=True)]
+    return [("gradient-index glass", medium.in_words()), (f"index at {wavelength:g} nm", "; ".join(indices))]
+
+
 def _stop(world: World) -> Rows:
     lens = world.scene.camera.lens
     number = next(i for i, surface in enumerate(lens.surfaces) if surface.stop)
@@ -156,7 +183,7 @@ def _array(world: World) -> Rows:
         ("array", f"{mla.layout}, {mla.count[0]} × {mla.count[1]} lenslets{profile}"),
         ("pitch", f"{mla.pitch_mm:g} mm"),
         (shapes[0], ", ".join(f"{value:g}" for value in shapes[1]) + " mm"),
-        ("glass", _medium(world, mla.medium)),
+        *_glass(world, mla.medium, mla.thickness_mm, 0.5 * mla.pitch_mm),
         ("thickness", f"{mla.thickness_mm:g} mm, {side} to the {mla.curved_side}"),
     ]
     if mla.back is not None and mla.has_back:

@@ -103,7 +103,8 @@ def pick_ray(view: View, x: float, y: float, tolerance_px: float = TOLERANCE_PX)
     lines = view.lines
     if lines is None or not len(lines):
         return None
-    place, depth = _projected(view, lines.ends)
+    pieces, segment = lines.pieces
+    place, depth = _projected(view, pieces)
     a, b = place[:, 0], place[:, 1]
     along = b - a
     square = np.maximum((along**2).sum(axis=1), np.finfo(np.float64).tiny)
@@ -115,7 +116,7 @@ def pick_ray(view: View, x: float, y: float, tolerance_px: float = TOLERANCE_PX)
         return None
     near = np.flatnonzero(distance <= least + EQUALLY_NEAR_PX)
     in_front = depth[near, 0] + share[near] * (depth[near, 1] - depth[near, 0])
-    found = int(near[np.argmin(in_front)])
+    found = int(segment[near[np.argmin(in_front)]])
     return PickedRay(int(lines.path[found]), int(lines.vertex[found]), lines.paths_of(found))
 
 

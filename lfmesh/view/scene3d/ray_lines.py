@@ -1,6 +1,10 @@
-"""Rays as line segments: shared segments are drawn once, and whole paths are omitted if there are too many."""
+"""Rays as line segments: shared segments are drawn once, and whole paths are omitted if there are too many.
+
+In gradient-index glass a segment is a curve, drawn as a line through many points.
+"""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,6 +62,23 @@ class RayLines:
         """(m, 2, 3) start and end of each segment, mm, world frame."""
         return np.stack([self.rays.position[self.vertex], self.rays.position[self.vertex + 1]], axis=1)
 
+    @cached_property
+    def points(self) -> tuple[NDArray[np.float64], Ints]:
+        """(p, 3) points of all segments, mm, world frame, and (m + 1,) the first of each: two of a straight one."""
+        curves = self.rays.curves(self.vertex)
+        if not curves:
+            return self.ends.reshape(-1, 3), 2 * np.arange(len(self) + 1)
+        lines = [curves.get(int(vertex), ends) for vertex, ends in zip(self.vertex, self.ends, strict=True)]
+        return np.concatenate(lines), np.concatenate([[0], np.cumsum([len(line) for line in lines])])
+
+    @cached_property
+    def pieces(self) -> tuple[NDArray[np.float64], Ints]:
+        """(k, 2, 3) straight pieces of all segments, mm, world frame, and (k,) the segment of each."""
+        points, firsts = self.points
+        starts = np.delete(np.arange(len(points)), firsts[1:] - 1)
+        pieces = np.stack([points[starts], points[starts + 1]], axis=1)
+        return pieces, np.repeat(np.arange(len(self)), np.diff(firsts) - 1)
+
     @property
     def caption(self) -> str:
         """Number of drawn paths, and of all if more."""
@@ -77,7 +98,7 @@ class RayLines:
         "event" of the start vertex, and "paths", the number of paths that share them.
         """
         rgb, legend = ray_colours(self.rays, self.path, self.vertex, by)
-        lines = line_segments(self.ends)
+        lines = lines_through(*self.points)
         opacity = np.full(len(self), max(LEAST_OPACITY, min(1.0, OPAQUE_SEGMENTS / max(1, len(self)))))
         if fade:
             opacity *= FAINTEST + (1.0 - FAINTEST) * power_share(self.rays.power[self.vertex])
@@ -91,10 +112,21 @@ class RayLines:
 
 def line_segments(ends: NDArray[np.float64]) -> pv.PolyData:
     """Return (n, 2, 3) line segments, one cell each."""
-    if not len(ends):
+    return lines_through(ends.reshape(-1, 3), 2 * np.arange(len(ends) + 1))
+
+
+def lines_through(points: NDArray[np.float64], firsts: Ints) -> pv.PolyData:
+    """Return lines through points, one cell each.
+
+    Parameters
+    ----------
+    points : (p, 3) float64
+    firsts : (n + 1,) int64
+        First point of each line, and the number of all points.
+    """
+    if not len(points):
         return pv.PolyData()
-    cells = np.column_stack([np.full(len(ends), 2), np.arange(2 * len(ends)).reshape(-1, 2)])
-    return pv.PolyData(ends.reshape(-1, 3), lines=cells.ravel())
+    return pv.PolyData(points, lines=np.insert(np.arange(len(points)), firsts[:-1], np.diff(firsts)))
 
 
 def ray_lines(rays: "Rays", most_segments: int = MOST_SEGMENTS) -> RayLines:

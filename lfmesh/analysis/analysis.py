@@ -16,7 +16,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.main_order import orders_in_words, phases_of, with_main_orders
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Say, Shown, announced
-from lfmesh.scene import FirstOrder, Scene
+from lfmesh.scene import FirstOrder, Scene, Surface
 from lfmesh.scene.distance import length_in_words
 from lfmesh.scene.first_order.compute import airy_disk_mm
 from lfmesh.scene.literals import literal
@@ -397,14 +397,21 @@ def _light_field(world: World, object_mm: float, heights_mm: Array) -> tuple[Lig
 def wavelengths_of(scene: Scene, given: tuple[float, ...] | None) -> tuple[float, ...]:
     """Return the wavelengths of an analysis, in nm, ascending."""
     waves = tuple(sorted(scene.wavelengths_nm if given is None else map(float, given)))
-    disperses = any(surface.glass is not None for surface in scene.camera.lens.surfaces)
-    if given is None and len(waves) == 1 and disperses:
+    if given is None and len(waves) == 1 and any(map(_disperses, scene.camera.lens.surfaces)):
         waves = LINES_NM
     if len(waves) % 2 == 0:
         if given is not None:
             raise LfmeshError(f"wavelengths_nm = {given}: give an odd number, so that one is in the middle")
         waves = waves[1:]
     return waves
+
+
+def _disperses(surface: Surface) -> bool:
+    """Tell whether the index of the medium behind a surface depends on the wavelength."""
+    if surface.gradient is None:
+        return surface.glass is not None
+    blue, _, red = map(surface.gradient.index_at, LINES_NM)
+    return blue != red
 
 
 def used_height_mm(scene: Scene) -> float:

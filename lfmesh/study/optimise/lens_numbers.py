@@ -1,7 +1,7 @@
 """Numbers of a solved lens that determine its rays, as one vector for differentiation.
 
 Rays depend on a design's variables only through these numbers: shapes, phases, positions and indices of the surfaces,
-the stop, the object and the image plane.
+gradients of the glass behind them, the stop, the object and the image plane.
 """
 
 import math
@@ -21,6 +21,7 @@ from lfmesh.scene import Scene
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.scene.first_order.solve import focus_wished_mm, image_plane_mm
+from lfmesh.study.optimise.gradient_rays import GradientForm, gradient_form, gradient_numbers
 from lfmesh.study.optimise.jet import Jet
 from lfmesh.study.optimise.phase_terms import phase_terms
 
@@ -40,6 +41,8 @@ class SurfaceNumbers(NamedTuple):
         Coefficients of the powers of r added to the conic.
     phase_powers, phase_distances : Jet
         Terms of the phase of a diffractive surface, see `PhaseTerms`.
+    gradient : Jet
+        (wavelengths, numbers) of the gradient-index glass behind it; (wavelengths, 0) for homogeneous media.
     """
 
     curvature: Jet
@@ -49,6 +52,7 @@ class SurfaceNumbers(NamedTuple):
     terms: Jet
     phase_powers: Jet
     phase_distances: Jet
+    gradient: Jet
 
 
 class LensNumbers(NamedTuple):
@@ -58,7 +62,7 @@ class LensNumbers(NamedTuple):
     ----------
     surfaces : list of SurfaceNumbers
     indices : Jet
-        (wavelengths, surfaces + 1): before the first surface and after each.
+        (wavelengths, surfaces + 1): before the first surface and after each; of gradient-index glass, at the vertex.
     stop_radius, vergence, image_z : Jet
         Radius of the stop, mm; reciprocal of the object distance, 1/mm; image plane, mm.
     slopes, heights : Jet
@@ -84,6 +88,8 @@ class RayLayout:
         Powers of r added to the conic of each surface.
     phases : tuple of (int, int)
         Numbers of powers and of distances in the phase of each surface, see `PhaseTerms`.
+    gradients : tuple of (GradientForm or None)
+        Form of the gradient behind each surface.
     stop : int
         Number of the stop surface.
     pure_stop : bool
@@ -100,6 +106,7 @@ class RayLayout:
 
     powers: tuple[tuple[int, ...], ...]
     phases: tuple[tuple[int, int], ...]
+    gradients: tuple[GradientForm | None, ...]
     stop: int
     pure_stop: bool
     waves_nm: tuple[float, ...]
@@ -130,7 +137,8 @@ class RayLayout:
             )
         phases = [phase_terms(surface) for surface in lens.surfaces]
         counts = tuple(phase.counts for phase in phases)
-        if powers_of(lens) != self.powers or counts != self.phases or lens.stop_index != self.stop:
+        layout = powers_of(lens), counts, gradients_of(lens, self.waves_nm), lens.stop_index
+        if layout != (self.powers, self.phases, self.gradients, self.stop):
             raise LfmeshError("the surfaces have other terms, or another stop, than at the start")
         heights = (self.height_mm or used_height_mm(scene)) * np.array(self.fields)
         image_z = paraxial.length_mm + image
@@ -145,6 +153,7 @@ class RayLayout:
                 *(coefficient for _, coefficient in surface.powers_mm),
                 *phases[k].powers,
                 *phases[k].distances.ravel(),
+                *gradient_numbers(surface, self.waves_nm).ravel(),
             )
         ]
         indices = [refractive_index(medium, wave) for wave in self.waves_nm for medium in lens.media]
@@ -167,11 +176,12 @@ class RayLayout:
             part = numbers.picked(slice(first, at))
             return Jet(part.value.reshape(shape), part.slope.reshape(*shape, numbers.slope.shape[-1]))
 
-        surfaces = [
-            SurfaceNumbers(taken(), taken(), taken(), taken(3, 4), taken(len(each)), taken(powers), taken(distances, 2))
-            for each, (powers, distances) in zip(self.powers, self.phases, strict=True)
-        ]
-        indices = taken(len(self.waves_nm), len(self.powers) + 1)
+        surfaces, waves = [], len(self.waves_nm)
+        for each, (powers, distances), form in zip(self.powers, self.phases, self.gradients, strict=True):
+            shape = taken(), taken(), taken(), taken(3, 4), taken(len(each))
+            phase, count = (taken(powers), taken(distances, 2)), form.numbers + form.material if form else 0
+            surfaces.append(SurfaceNumbers(*shape, *phase, taken(waves, count)))
+        indices = taken(waves, len(self.powers) + 1)
         fields = len(self.fields)
         return LensNumbers(surfaces, indices, taken(), taken(), taken(), taken(fields), taken(fields))
 
@@ -201,13 +211,19 @@ def layout_of(scene: Scene, waves_nm: tuple[float, ...], object_mm: float | None
     refuse_several_orders(lens_phases(scene))
     stop, phases = lens.stop_index or 0, tuple(phase_terms(surface).counts for surface in lens.surfaces)
     return RayLayout(
-        powers_of(lens), phases, stop, lens.is_pure_stop(stop), waves_nm, object_mm=object_mm, height_mm=height_mm
+        powers_of(lens), phases, gradients_of(lens, waves_nm), stop, lens.is_pure_stop(stop), waves_nm,
+        object_mm=object_mm, height_mm=height_mm,
     )  # fmt: skip
 
 
 def powers_of(lens: Lens) -> tuple[tuple[int, ...], ...]:
     """Return the powers of r added to the conic of each surface."""
     return tuple(tuple(power for power, _ in surface.powers_mm) for surface in lens.surfaces)
+
+
+def gradients_of(lens: Lens, waves_nm: tuple[float, ...]) -> tuple[GradientForm | None, ...]:
+    """Return the form of the gradient behind each surface."""
+    return tuple(gradient_form(surface, waves_nm[len(waves_nm) // 2]) for surface in lens.surfaces)
 
 
 def _frame_of(lens: Lens, number: int) -> Array:

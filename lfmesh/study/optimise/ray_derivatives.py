@@ -2,7 +2,7 @@
 
 Rays run from object points through given points of the stop to the image plane, along a fixed sequence of surfaces, and
 no aperture blocks them. Newton's iterations to surfaces and stop use plain numbers. By the implicit function theorem,
-one further step with jets gives the derivatives.
+one further step with jets gives the derivatives. In gradient-index glass rays are curves (`gradient_rays.py`).
 """
 
 from typing import NamedTuple
@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.study.optimise.gradient_rays import GradientGlass
 from lfmesh.study.optimise.jet import Jet, Number, constant
 from lfmesh.study.optimise.lens_numbers import LensNumbers, RayLayout, SurfaceNumbers
 from lfmesh.study.optimise.phase_terms import steepness
@@ -136,15 +137,19 @@ def _followed(
     p, d = _starts(lens, fan, entry)
     stop: tuple[Jet, Jet] = entry
     for number, surface in enumerate(lens.surfaces):
-        p, d = _into(surface.pose, p, d)
         pure = number == layout.stop and layout.pure_stop
-        p = _met(surface, () if pure else layout.powers[number], p, d)
+        before = lens.indices.picked((fan.wave, number))
+        if number and layout.gradients[number - 1] is not None:
+            p, d, before = _through_gradient(layout, lens, fan, number, (p, d))
+        else:
+            p, d = _into(surface.pose, p, d)
+            p = _met(surface, () if pure else layout.powers[number], p, d)
         if number == layout.stop:
             stop = (_as_jet(p[0]), _as_jet(p[1]))
             if not to_image:
                 break
         if not pure:
-            before, after = (lens.indices.picked((fan.wave, number + k)) for k in (0, 1))
+            after = _index_behind(layout, lens, fan, number, p)
             turn = layout.turns_mm[fan.wave] / after if any(layout.phases[number]) else None
             d = _bent(surface, layout.powers[number], p, d, before / after, turn)
         p, d = _out_of(surface.pose, p, d)
@@ -162,17 +167,109 @@ def _starts(lens: LensNumbers, fan: RayFan, entry: tuple[Jet, Jet]) -> tuple[Vec
     return (entry[0], entry[1], entry[0] * 0.0), (x * scale, y * scale, scale)
 
 
+def _index_behind(layout: RayLayout, lens: LensNumbers, fan: RayFan, number: int, p: Vector) -> Jet:
+    """Return the index behind a surface at points on it, in its frame."""
+    form = layout.gradients[number]
+    if form is None:
+        return lens.indices.picked((fan.wave, number + 1))
+    return GradientGlass(form, lens.surfaces[number].gradient, fan.wave).index_at(_stacked(p))
+
+
+def _through_gradient(
+    layout: RayLayout, lens: LensNumbers, fan: RayFan, number: int, rays: tuple[Vector, Vector]
+) -> tuple[Vector, Vector, Jet]:
+    """Return rays on a surface behind gradient-index glass, in its frame, and the index before it.
+
+    Parameters
+    ----------
+    layout : RayLayout
+    lens : LensNumbers
+    fan : RayFan
+    number : int
+        Number of the surface.
+    rays : (Vector, Vector)
+        Points on the surface before it, and unit directions behind that, camera frame.
+    """
+    front, surface, form = lens.surfaces[number - 1], lens.surfaces[number], layout.gradients[number - 1]
+    assert form is not None
+    glass = GradientGlass(form, front.gradient, fan.wave)
+    p, d = _frame_into(front.pose, *rays)
+    points, directions = _stacked(p), _stacked(d)
+    momenta = directions * _as_column(glass.index_at(points))
+    plain = [SurfaceNumbers(*(constant(each.value, 0) for each in one)) for one in (front, surface)]
+    lengths, steps = _gradient_lengths(glass, plain, layout.powers[number], points.value, momenta.value)
+    ends, ahead = glass.carried(points, momenta, lengths, steps)
+    at, along = _frame_into(surface.pose, *_out_of(front.pose, _parted(ends), _parted(ahead)))
+    kick = _parted(constant(glass.kicks(ends.value), points.slope.shape[-1]))
+    _, turn = _frame_into(surface.pose, *_out_of(front.pose, _parted(ends), kick))
+    excess, fall = _excess(surface, layout.powers[number], at, along)
+    change = -excess / _value(fall)
+    at, along = _moved(at, along, change), _moved(along, turn, change)
+    index = _as_jet(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]).root()
+    return at, tuple(each / index for each in along), index  # type: ignore[return-value]
+
+
+def _gradient_lengths(
+    glass: GradientGlass, surfaces: list[SurfaceNumbers], powers: tuple[int, ...], points: Array, momenta: Array
+) -> tuple[Array, int]:
+    """Return the lengths of rays in σ from one surface to the next, (n,) mm, and a sufficient number of steps.
+
+    Parameters
+    ----------
+    glass : GradientGlass
+    surfaces : list of SurfaceNumbers
+        The two surfaces, without derivatives.
+    powers : tuple of int
+        Powers of r added to the conic of the second.
+    points, momenta : (n, 3) float64
+        As for `GradientGlass.ends`.
+    """
+    front, surface = surfaces
+    depth = np.linalg.norm(surface.pose.value[:, 3] - front.pose.value[:, 3])
+    lengths = (depth - points[:, 2]) / momenta[:, 2]
+    steps = glass.steps_for(points, momenta, lengths)
+    for _ in range(STEPS):
+        ends = glass.ends(points, momenta, lengths, steps)
+        p, along = (_parted(constant(each, 0)) for each in (ends[:, :3], ends[:, 3:]))
+        excess, fall = _excess(surface, powers, *_frame_into(surface.pose, *_out_of(front.pose, p, along)))
+        step = _value(excess) / _value(fall)
+        lengths = lengths - step
+        if not np.any(np.abs(step) > SETTLED * (1.0 + np.abs(lengths))):
+            break
+    return np.where(np.abs(step) <= AIMED * (1.0 + np.abs(lengths)), lengths, np.nan), steps
+
+
+def _stacked(vector: Vector) -> Jet:
+    """Return the components of vectors as one jet, (n, 3)."""
+    parts = [_as_jet(each) for each in vector]
+    return Jet(np.stack([each.value for each in parts], axis=1), np.stack([each.slope for each in parts], axis=1))
+
+
+def _parted(vectors: Jet) -> Vector:
+    return tuple(vectors.picked((slice(None), k)) for k in range(3))  # type: ignore[return-value]
+
+
+def _as_column(numbers: Jet) -> Jet:
+    return Jet(numbers.value[:, None], numbers.slope[:, None])
+
+
 def _is_upright(pose: Jet) -> bool:
     return bool((pose.value[:, :3] == np.eye(3)).all() and not pose.slope[:, :3].any())
 
 
 def _into(pose: Jet, p: Vector, d: Vector) -> tuple[Vector, Vector]:
     """Transform rays into the frame of a surface, and move them to the plane of its vertex."""
+    p, d = _frame_into(pose, p, d)
+    t = -p[2] / d[2]
+    return (p[0] + t * d[0], p[1] + t * d[1], p[2] * 0.0), d
+
+
+def _frame_into(pose: Jet, p: Vector, d: Vector) -> tuple[Vector, Vector]:
+    """Transform rays into the frame of a surface."""
     p = tuple(p[i] - pose.picked((i, 3)) for i in range(3))  # type: ignore[assignment]
     if not _is_upright(pose):
         p, d = (_turned(pose, vector, back=True) for vector in (p, d))
-    t = -p[2] / d[2]
-    return (p[0] + t * d[0], p[1] + t * d[1], p[2] * 0.0), d
+    return p, d
 
 
 def _out_of(pose: Jet, p: Vector, d: Vector) -> tuple[Vector, Vector]:

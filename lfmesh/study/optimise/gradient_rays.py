@@ -26,7 +26,7 @@ DIFFERENCE = 1e-5
 FEWEST_STEPS, MOST_STEPS = 8, 1024
 """Numbers of equal steps through a glass."""
 
-PRECISION = 1e-11
+PRECISION = 1e-12
 """Change of the rays' ends by twice as many steps, over the length of the glass, at which steps suffice."""
 
 

@@ -46,6 +46,14 @@ HOLOGRAM = {
     "point_2_mm": [0.0, 0.0, 300.0],
     "point_2": "virtual",
 }
+SELFOC = {"kind": "selfoc", "index": [1.58, 0.008], "gradient_constant_per_mm": [0.02, 0.001, 0.0]}
+DISPERSIVE = {
+    "kind": "radial_n",
+    "index": 1.6,
+    "coefficients": [-4e-4, 1e-6],
+    "axial_coefficients": [0.004],
+    "dispersion": {"reference_nm": 550.0, "strengths": [[1.1, 0.1]], "resonances_um2": [[0.012]]},
+}
 SURFACE = "lens.surfaces[0]"
 CASES: dict[str, tuple[lf.Scene, list[dict[str, Any]], dict[str, Any]]] = {
     "spheres": (
@@ -96,6 +104,37 @@ CASES: dict[str, tuple[lf.Scene, list[dict[str, Any]], dict[str, Any]]] = {
     "hologram": (
         asphere(phase=HOLOGRAM),
         [variable(f"{SURFACE}.phase.point_2_mm[2]", 200.0, 600.0), variable(f"{SURFACE}.thickness_mm", 5.0, 12.0)],
+        {"across": 6},
+    ),
+    "gradient-index rod": (
+        asphere(glass=None, gradient=SELFOC, radius_mm=60.0),
+        [
+            variable(f"{SURFACE}.gradient.gradient_constant_per_mm[0]", 0.01, 0.03),
+            variable(f"{SURFACE}.gradient.index[0]", 1.5, 1.7),
+            variable(f"{SURFACE}.radius_mm", 40.0, 90.0),
+            variable(f"{SURFACE}.thickness_mm", 5.0, 12.0),
+            variable("lens.surfaces[1].radius_mm", -400.0, -200.0),
+            variable("focus_mm", 200.0, 900.0),
+        ],
+        {"across": 6},
+    ),
+    "dispersive gradient in a tilted element, behind an asphere": (
+        asphere(conic=-0.6, asphere_mm=[2e-6], glass=None, gradient=DISPERSIVE).changed(
+            {
+                "camera.lens.surfaces[1].odd_asphere_mm": [1e-6],
+                "camera.lens.elements": [{"surfaces": [0, 1], "pose": POSE}],
+            }
+        ),
+        [
+            variable(f"{SURFACE}.gradient.coefficients[0]", -1e-3, 0.0),
+            variable(f"{SURFACE}.gradient.coefficients[1]", 0.0, 2e-6),
+            variable(f"{SURFACE}.gradient.axial_coefficients[0]", 0.0, 0.01),
+            variable(f"{SURFACE}.gradient.dispersion.strengths[0][0]", 1.0, 1.2),
+            variable(f"{SURFACE}.asphere_mm[0]", -1e-5, 1e-5),
+            variable("lens.surfaces[1].odd_asphere_mm[0]", -1e-5, 1e-5),
+            variable("lens.elements[0].pose.tilt_deg[0]", -1.0, 1.0),
+            variable(f"{SURFACE}.thickness_mm", 5.0, 12.0),
+        ],
         {"across": 6},
     ),
     "tilted and decentred element, f-number": (

@@ -18,10 +18,12 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.surfaces.bends import rim_range
 from lfmesh.geometry.surfaces.sag import gradients, heights
 from lfmesh.optics.ray_aiming import aim_rays
-from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import BACK_FACE, CAMERA_FRAME, CURVED_FACE, WORLD_FRAME
+from lfmesh.transport.tables.gradient_spaces import has_gradients
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import World
-from lfmesh.view.rays.gradient_segments import Vertices, curves_of, gradient_segments, has_gradients, line_of
+from lfmesh.view.rays.gradient_cells import array_face, cells_at
+from lfmesh.view.rays.gradient_segments import NO_FACE, Vertices, curves_of, gradient_segments, line_of
 from lfmesh.waves.stop_aim import INSIDE, StopAim
 
 Array = NDArray[np.float64]
@@ -54,7 +56,7 @@ class AimedRay:
     status : Status
         How it ended.
     face, event : (m,) int64
-        Number of the refracting surface at each point (−1: none), and the event there.
+        Face of lens or array at each point, see `gradient_segments`, and the event there.
     line : (k, 3) float64, mm
         The points, with others along curves in gradient-index glass.
     """
@@ -95,6 +97,9 @@ class Aim:
         self.start_z = -distance_mm if real else -2.0 * (self.paraxial.length_mm + max(world.lens_shape.rims))
         shape = world.lens_shape
         self._names = [world.surface_name(k) for k in range(len(shape.surfaces))]
+        self._faces = {name: k for k, name in enumerate(self._names)}
+        for number in (CURVED_FACE, BACK_FACE):
+            self._faces[world.surface_name(number)] = array_face(world, is_curved=number == CURVED_FACE)
         self._before_stop = sum(number < self.paraxial.stop for number in shape.numbers)
         self._pure_stop = self.lens.is_pure_stop(self.paraxial.stop)
         self._into_stop = frames.inverse(pose_of(self.lens, self.paraxial.stop))
@@ -190,26 +195,29 @@ class Aim:
             points = frames.points(to_camera, [vertex.position for vertex in vertices])
             names = [vertex.surface for vertex in vertices]
             status = Status(int(paths.status[packet]))
-            face = np.array([self._names.index(name) if name in self._names else -1 for name in names])
+            face = np.array([self._faces.get(name, NO_FACE) for name in names])
             event = np.array([vertex.event for vertex in vertices])
-            if (face < 0).all():
+            if not any(name in self._names for name in names):
                 direction = frames.directions(to_camera, paths.direction[packet])
                 points = self._ended_before_lens(points, direction, escaped=status == Status.ESCAPED)
-                face, event = np.full(len(points), -1), np.zeros(len(points), np.int64)
+                face, event = np.full(len(points), NO_FACE), np.zeros(len(points), np.int64)
             at_stop, leaving = self._at_stop(points, names), self._leaving(points, names)
             rays[source] = AimedRay(points, at_stop, leaving, status, face, event, points)
-        nowhere = np.full(2, np.nan), np.full((2, 3), np.nan), Status.LOST, np.array([-1]), np.array([0])
+        nowhere = np.full(2, np.nan), np.full((2, 3), np.nan), Status.LOST, np.array([NO_FACE]), np.array([0])
         return [ray or AimedRay(p[None], *nowhere, p[None]) for ray, p in zip(rays, start, strict=True)]
 
     def _with_curves(self, rays: list[AimedRay]) -> list[AimedRay]:
         """Return rays with points along their curves in gradient-index glass."""
-        if not has_gradients(self.world) or not rays:
+        if not has_gradients(self.world.scene) or not rays:
             return rays
         offsets = np.cumsum([0, *(len(ray.points) for ray in rays)])
         position, face, event = (
             np.concatenate(each) for each in zip(*((ray.points, ray.face, ray.event) for ray in rays), strict=True)
         )
-        vertices = Vertices(position, face, event, offsets, np.full(len(rays), self.wavelength_nm))
+        cell = np.full(len(face), -1)
+        if self.world.tables.mla.gradient is not None:
+            cell[face < NO_FACE] = cells_at(self.world.tables, position[face < NO_FACE])
+        vertices = Vertices(position, face, cell, event, offsets, np.full(len(rays), self.wavelength_nm))
         segments = gradient_segments(self.world, vertices)
         curves = curves_of(self.world, vertices, segments)
         return [

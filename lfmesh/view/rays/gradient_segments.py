@@ -2,9 +2,11 @@
 
 A recorded path holds vertices alone. The direction in which a curve begins follows from the ray before it, by
 refraction or reflection at the face where it begins. Points and directions are in the camera frame.
+
+A face is the number of a refracting surface of the lens, or `TO_LENS` or `TO_SENSOR` of the array.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -18,9 +20,10 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.events.gradient import cross_gap, index_at
 from lfmesh.transport.packets.packet import Event
 from lfmesh.transport.sequences.gradient_gaps import gap_curves
-from lfmesh.transport.tables.tables import LensTables
+from lfmesh.transport.tables.tables import LensTables, Tables
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
+from lfmesh.view.rays.gradient_cells import arriving_in_cells, cell_curves, indices_and_normals, other_face
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -33,8 +36,10 @@ FLATNESS = 1e-4
 
 FEWEST_POINTS, MOST_POINTS = 9, 1025
 
-BEFORE_LENS = -1
-"""Space of a path that has not met the lens yet."""
+NO_FACE = -1
+
+BEFORE_LENS, IN_ARRAY = -1, -2
+"""In place of a space of the lens: a path that has not met the lens yet, and one in the array."""
 
 
 class Vertices(NamedTuple):
@@ -44,7 +49,9 @@ class Vertices(NamedTuple):
     ----------
     position : (m, 3) float64, mm
     face : (m,) int64
-        Number of the refracting surface of the lens; −1 elsewhere.
+        `NO_FACE` elsewhere than on lens and array.
+    cell : (m,) int64
+        Lenslet, row by row, on faces of a gradient-index array; of no effect elsewhere.
     event : (m,) int64
     offsets : (n + 1,) int64
     wavelength_nm : (n,) float64
@@ -52,6 +59,7 @@ class Vertices(NamedTuple):
 
     position: Floats
     face: Ints
+    cell: Ints
     event: Ints
     offsets: Ints
     wavelength_nm: Floats
@@ -63,11 +71,13 @@ class GradientSegments(NamedTuple):
     Attributes
     ----------
     space_behind : (m,) int64
-        Space of the lens that a path is in behind each of its vertices; −1 before it has met the lens.
+        Space of the lens that a path is in behind each of its vertices, or `BEFORE_LENS` or `IN_ARRAY`.
     vertex : (k,) int64
         Vertex at which each segment begins, ascending.
     space, face : (k,) int64
         Space of the segment, and the face that its ray travels to.
+    cell : (k,) int64
+        Lenslet where it begins; of no effect in the lens.
     wavelength_nm : (k,) float64
     leaving, arriving : (k, 3) float64, unit
         Directions at its start and at its end.
@@ -77,6 +87,7 @@ class GradientSegments(NamedTuple):
     vertex: Ints
     space: Ints
     face: Ints
+    cell: Ints
     wavelength_nm: Floats
     leaving: Floats
     arriving: Floats
@@ -91,23 +102,12 @@ class GradientSegments(NamedTuple):
         return GradientSegments(self.space_behind, *(each[numbers] for each in self[1:]))
 
 
-def lens_at(world: World, wavelength_nm: float) -> LensTables:
-    """Return the tables of the lens at one wavelength, with colour 0."""
-    return at_wavelength(world, wavelength_nm).lens
-
-
-def has_gradients(world: World) -> bool:
-    """Tell whether a lens has gradient-index glass."""
-    return world.tables.lens.gradients is not None
-
-
 def gradient_segments(world: World, vertices: Vertices) -> GradientSegments:
     """Find the segments of paths in gradient-index glass.
 
     Parameters
     ----------
     world : World
-        Its lens has such glass.
     vertices : Vertices
     """
     space_behind = _spaces_behind(vertices, len(world.lens_shape.surfaces))
@@ -118,7 +118,7 @@ def gradient_segments(world: World, vertices: Vertices) -> GradientSegments:
     ]
     if not parts:
         none, vectors = np.zeros(0, np.int64), np.zeros((0, 3))
-        return GradientSegments(space_behind, none, none, none, np.zeros(0), vectors, vectors)
+        return GradientSegments(space_behind, none, none, none, none, np.zeros(0), vectors, vectors)
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     return GradientSegments(space_behind, *columns).of(np.argsort(columns[0]))
 
@@ -127,27 +127,27 @@ def _spaces_behind(vertices: Vertices, faces: int) -> Ints:
     """Return the space of the lens behind each vertex, from the faces that a path has met and its events there."""
     lengths, starts = np.diff(vertices.offsets), vertices.offsets[:-1]
     behind = np.full(len(vertices.face), BEFORE_LENS)
-    space = np.full(len(starts), BEFORE_LENS)
+    space, in_array = np.full(len(starts), BEFORE_LENS), np.zeros(len(starts), np.bool_)
     for step in range(int(lengths.max(initial=0))):
         on = np.flatnonzero(lengths > step)
         vertex = starts[on] + step
-        face, here = vertices.face[vertex], space[on]
+        face, here, crosses = vertices.face[vertex], space[on], vertices.event[vertex] == Event.TRANSMITTED
         # A path enters by the first face or, from the sensor, by the last one.
         from_sensor = (face == faces - 1) & (faces > 1)
         here = np.where((here == BEFORE_LENS) & (face >= 0), np.where(from_sensor, faces, face), here)
-        crosses = (face >= 0) & (vertices.event[vertex] == Event.TRANSMITTED)
-        space[on] = np.where(crosses, 2 * face + 1 - here, here)
-        behind[vertex] = space[on]
+        space[on] = np.where(crosses & (face >= 0), 2 * face + 1 - here, here)
+        in_array[on] ^= crosses & (face < NO_FACE)
+        behind[vertex] = np.where(in_array[on], IN_ARRAY, space[on])
     return behind
 
 
-Part = tuple[Ints, Ints, Ints, Floats, Floats, Floats]
+Part = tuple[Ints, Ints, Ints, Ints, Floats, Floats, Floats]
 """Columns of `GradientSegments` from `vertex` on."""
 
 
 def _of_wavelength(world: World, vertices: Vertices, space_behind: Ints, wavelength_nm: float) -> Iterator[Part]:
     """Yield the segments of paths of one wavelength, those of each step and face together."""
-    lens, surfaces = lens_at(world, wavelength_nm), world.lens_shape.surfaces
+    tables = at_wavelength(world, wavelength_nm)
     lengths, starts = np.diff(vertices.offsets), vertices.offsets[:-1]
     mine = vertices.wavelength_nm == wavelength_nm
     arriving = np.zeros((len(starts), 3))
@@ -157,24 +157,57 @@ def _of_wavelength(world: World, vertices: Vertices, space_behind: Ints, wavelen
         before = arriving[path]
         arriving[path] = _unit(vertices.position[vertex + 1] - vertices.position[vertex])
         space, face = space_behind[vertex], vertices.face[vertex]
-        curved = (face >= 0) & (space >= 0) & (lens.gradients.number[space] >= 0)
+        curved = (face != NO_FACE) & _curved_spaces(tables)[space]
         for k, s in {(int(k), int(s)) for k, s in zip(face[curved], space[curved], strict=True)}:
             group = np.flatnonzero(curved & (face == k) & (space == s))
-            at, crosses = vertices.position[vertex[group]], vertices.event[vertex[group]] == Event.TRANSMITTED
-            normal = _normals(surfaces[k], at)
-            n_t = indices_in(lens, s, at)
-            n_i = np.where(crosses, indices_in(lens, 2 * k + 1 - s, at), n_t)
+            at, cell = vertices.position[vertex[group]], vertices.cell[vertex[group]]
+            outside, inside, normal = _sides(world, tables, (k, s), at, cell)
+            along = before[group]
             leaving = np.where(
-                crosses[:, None],
-                _refracted(before[group], normal, n_i / n_t),
-                before[group] - 2.0 * (before[group] * normal).sum(axis=1, keepdims=True) * normal,
+                (vertices.event[vertex[group]] == Event.TRANSMITTED)[:, None],
+                _refracted(along, normal, outside / inside),
+                along - 2.0 * (along * normal).sum(axis=1, keepdims=True) * normal,
             )
-            ahead = s if k == s - 1 else s - 1
-            ends = np.empty((len(group), 3))
-            _cross(lens, s, ahead, np.ascontiguousarray(at), leaving, ends)
+            ahead = (s if k == s - 1 else s - 1) if s >= 0 else other_face(k)
+            if s >= 0:
+                ends = np.empty((len(group), 3))
+                _cross(tables.lens, s, ahead, np.ascontiguousarray(at), leaving, ends)
+            else:
+                ends = arriving_in_cells(tables, k, cell, at, leaving)
             arriving[path[group]] = ends
-            whole = np.full(len(group), s), np.full(len(group), ahead), np.full(len(group), wavelength_nm)
+            whole = np.full(len(group), s), np.full(len(group), ahead), cell, np.full(len(group), wavelength_nm)
             yield vertex[group], *whole, leaving, ends
+
+
+def _curved_spaces(tables: Tables) -> NDArray[np.bool_]:
+    """Tell which spaces of the lens have gradient-index glass; at the end, as `IN_ARRAY` and `BEFORE_LENS`, others."""
+    gradients, spaces = tables.lens.gradients, len(tables.lens.medium)
+    in_lens = np.zeros(spaces, np.bool_) if gradients is None else gradients.number >= 0
+    return np.concatenate([in_lens, [tables.mla.gradient is not None, False]])
+
+
+def _sides(
+    world: World, tables: Tables, where: tuple[int, int], at: Floats, cell: Ints
+) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    """Return the indices outside and inside gradient-index glass at points on a face of it, and unit normals there.
+
+    Parameters
+    ----------
+    world : World
+    tables : Tables
+        Of one wavelength.
+    where : (int, int)
+        The face, and the space of the glass.
+    at : (n, 3) float64, mm
+    cell : (n,) int64
+        Lenslets.
+    """
+    face, space = where
+    if space >= 0:
+        outside, inside = (indices_in(tables.lens, each, at) for each in (2 * face + 1 - space, space))
+        return outside, inside, _normals(world.lens_shape.surfaces[face], at)
+    inside, normals_ = indices_and_normals(tables, face, cell, at)
+    return np.full(len(at), float(tables.mla.gradient.outside[0])), inside, normals_
 
 
 @kernel
@@ -223,10 +256,10 @@ def curves_of(world: World, vertices: Vertices, segments: GradientSegments) -> C
     keys = list(zip(segments.wavelength_nm.tolist(), segments.space.tolist(), segments.face.tolist(), strict=True))
     for key in dict.fromkeys(keys):
         group = np.array([number for number, each in enumerate(keys) if each == key])
-        wavelength_nm, space, face = key
+        wavelength_nm = key[0]
         first = segments.vertex[group]
         start, end = vertices.position[first], vertices.position[first + 1]
-        points = _smooth(lens_at(world, wavelength_nm), space, face, start, segments.leaving[group])
+        points = _smooth(_curves(at_wavelength(world, wavelength_nm), segments.of(group), start))
         points[:, 0], points[:, -1] = start, end
         curves |= zip(first.tolist(), points, strict=True)
     return curves
@@ -248,11 +281,25 @@ def line_of(position: Floats, first: int, last: int, curves: Curves) -> Floats:
     return np.concatenate([*pieces, position[last : last + 1]])
 
 
-def _smooth(lens: LensTables, space: int, face: int, start: Floats, leaving: Floats) -> Floats:
-    """Return points along curves of one gap, (n, points, 3), so close that their chords are smooth."""
+def _curves(tables: Tables, segments: GradientSegments, start: Floats) -> Callable[[int], Floats]:
+    """Return a function from the number of points to those along segments of one space and face, (n, points, 3)."""
+    space, face, leaving = int(segments.space[0]), int(segments.face[0]), segments.leaving
+    if space >= 0:
+        return lambda points: gap_curves(tables.lens, space, face, 0, start, leaving, points)
+    return lambda points: cell_curves(tables, other_face(face), segments.cell, start, leaving, points)
+
+
+def _smooth(curves_by: Callable[[int], Floats]) -> Floats:
+    """Return points along curves, (n, points, 3), so close that their chords are smooth.
+
+    Parameters
+    ----------
+    curves_by : callable
+        See `_curves`.
+    """
     points = FEWEST_POINTS
     while True:
-        curves = gap_curves(lens, space, face, 0, np.ascontiguousarray(start), np.ascontiguousarray(leaving), points)
+        curves = curves_by(points)
         length = float(np.linalg.norm(curves[:, -1] - curves[:, 0], axis=1).max())
         # The distance of an arc from its chord is an eighth of the second difference of its points.
         bend = np.linalg.norm(curves[:, 2:] - 2.0 * curves[:, 1:-1] + curves[:, :-2], axis=2)

@@ -24,11 +24,17 @@ from lfmesh.scene.literals import percent
 from lfmesh.transport.events.interface import shares
 from lfmesh.transport.packets.packet import BACK_FACE, CAMERA_FRAME, CURVED_FACE, SENSOR_FRAME, WORLD_FRAME, Event
 from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW
+from lfmesh.transport.tables.gradient_spaces import has_gradients
 from lfmesh.transport.tables.interfaces import InterfaceTables, interface_tables
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, Interfaces, body_row
-from lfmesh.view.rays.gradient_segments import has_gradients, indices_in, lens_at
+from lfmesh.transport.trace import at_wavelength
+from lfmesh.view.rays.gradient_cells import cells_at, indices_in_cells
+from lfmesh.view.rays.gradient_segments import IN_ARRAY, indices_in
 from lfmesh.view.rays.names import BACK, CURVED, FLAT, FRONT, REAR, SENSOR, label, target_names
 from lfmesh.view.rays.paths import Rays
+
+NEAR_WALL_MM = 1e-7
+"""Distance from a wall between lenslets at which a point lies in a cell for certain."""
 
 LEVEL = 1e-9
 """Largest change of direction by the first order at which a phase counts as level."""
@@ -201,11 +207,18 @@ def _index(rays: Rays, vertex: int, medium: Medium, wavelength_nm: float, *, bey
     """Return the index of a medium at a vertex: of the one that a path arrives in, or of the one beyond the face."""
     if not isinstance(medium, Gradient):
         return refractive_index(medium, wavelength_nm)
+    tables, name = at_wavelength(rays.world, wavelength_nm), rays.surfaces[rays.surface[vertex]]
+    place = frames.points(tables.frames[WORLD_FRAME, CAMERA_FRAME], rays.position[vertex][None])
     space = int(rays.gradients.space_behind[vertex - 1])
+    on_face = name in (CURVED, BACK)
+    if on_face or space == IN_ARRAY:
+        arriving = frames.directions(tables.frames[WORLD_FRAME, CAMERA_FRAME], [_arriving(rays, vertex)])
+        # A wall belongs to the cell that a path comes from.
+        cell = rays.lenslet[vertex : vertex + 1] if on_face else cells_at(tables, place - NEAR_WALL_MM * arriving)
+        return float(indices_in_cells(tables, cell, place)[0])
     if beyond:
         space = 2 * (int(rays.surface[vertex]) - 1) + 1 - space
-    place = frames.points(rays.world.tables.frames[WORLD_FRAME, CAMERA_FRAME], rays.position[vertex][None])
-    return float(indices_in(lens_at(rays.world, wavelength_nm), space, place)[0])
+    return float(indices_in(tables.lens, space, place)[0])
 
 
 def _arriving(rays: Rays, vertex: int) -> Vector | None:
@@ -222,7 +235,7 @@ def _leaving(rays: Rays, vertex: int) -> Vector | None:
 
 def _curved(rays: Rays, vertex: int) -> tuple[Vector, Vector] | None:
     """Return the directions at both ends of a segment in gradient-index glass, by its first vertex, or None."""
-    number = rays.gradients.number_of(vertex) if has_gradients(rays.world) else None
+    number = rays.gradients.number_of(vertex) if has_gradients(rays.world.scene) else None
     if number is None:
         return None
     both = np.stack([rays.gradients.leaving[number], rays.gradients.arriving[number]])

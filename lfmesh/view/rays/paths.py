@@ -15,19 +15,21 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame as frames
 from lfmesh.scene.first_order.solve import focus_wished_mm
 from lfmesh.transport.packets.packet import CAMERA_FRAME, NO_SURFACE, SENSOR_FRAME, WORLD_FRAME, Event, Status
+from lfmesh.transport.tables.gradient_spaces import has_gradients
 from lfmesh.transport.tables.particles import corners_round
 from lfmesh.transport.tables.tables import Records
 from lfmesh.transport.world import World
+from lfmesh.view.rays.gradient_cells import array_face
 from lfmesh.view.rays.gradient_segments import (
+    NO_FACE,
     Curves,
     GradientSegments,
     Vertices,
     curves_of,
     gradient_segments,
-    has_gradients,
     line_of,
 )
-from lfmesh.view.rays.names import BACK, CURVED, label, mirror_names, surface_names, surface_numbers
+from lfmesh.view.rays.names import BACK, CURVED, FLAT, label, mirror_names, surface_names, surface_numbers
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -157,16 +159,15 @@ class Rays:
 
     @cached_property
     def _vertices(self) -> Vertices:
-        to_camera = self.world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
-        face = self.surface - 1
-        face = np.where(face < len(self.world.lens_shape.surfaces), face, -1)
-        return Vertices(
-            frames.points(to_camera, self.position), face, self.event, self.offsets, self.wavelength_nm
-        )  # fmt: skip
+        position = frames.points(self.world.tables.frames[WORLD_FRAME, CAMERA_FRAME], self.position)
+        face = np.where(self.surface <= len(self.world.lens_shape.surfaces), self.surface - 1, NO_FACE)
+        for name in (CURVED, FLAT, BACK):
+            face[self.surface == self.surfaces.index(name)] = array_face(self.world, is_curved=name == CURVED)
+        return Vertices(position, face, self.lenslet, self.event, self.offsets, self.wavelength_nm)
 
     def curves(self, vertices: Ints) -> Curves:
         """Return points along the curved segments that begin at some vertices (k,), world frame."""
-        if not has_gradients(self.world):
+        if not has_gradients(self.world.scene):
             return {}
         chosen = self.gradients.of(np.flatnonzero(np.isin(self.gradients.vertex, vertices)))
         to_world = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]

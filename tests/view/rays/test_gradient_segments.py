@@ -167,3 +167,58 @@ def test_segments_in_homogeneous_glass_stay_straight() -> None:
     np.testing.assert_array_equal(rays.gradients.vertex, begins)
     assert (rays.gradients.space == 2).all()
     assert (np.diff(z)[begins] < 0.0).any()
+
+
+ROD_G, ROD_MM = 0.9, 4.0
+"""Gradient constant in 1/mm, and length of the rods of an array: more than half a pitch."""
+
+
+def rods(side: str, walls: str = "absorb") -> lf.Scene:
+    lens = {"surfaces": [{"paraxial": True, "focal_length_mm": 20.0, "stop": True, "semi_diameter_mm": 2.0}]}
+    mla = {"count": [8, 8], "pitch_mm": 0.4, "thickness_mm": ROD_MM, "distance_mm": 22.0, "curved_side": side,
+           "walls": walls, "gradient": {"kind": "radial_n2", "index": N0, "coefficients": [-ROD_G * ROD_G]}}  # fmt: skip
+    sensor = {"pixels": [64, 64], "pixel_mm": 0.05, "distance_mm": 2.0}
+    camera = {"lens": lens, "mla": mla, "sensor": sensor}
+    return lf.Scene.model_validate(
+        {"schema_version": 1, "camera": camera, "transport": {"wavelengths_nm": [550.0]}}
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("side", ["lens", "sensor"])
+def test_curves_in_the_rods_of_an_array_are_those_of_the_closed_form(side: str) -> None:
+    """About the axis of each rod, with the index of its own field at the vertices."""
+    world = lf.build(rods(side))
+    rays = from_field_point(world, (0.3, -0.5, -200.0), 60, aim="lens", weight_cutoff=0.0)
+    lattice = world.tables.mla.lenslets.lattice
+    centres = lattice.centres().reshape(-1, 2)
+    found = 0
+    for number, vertex in enumerate(rays.gradients.vertex.tolist()):
+        if rays.lenslet[vertex + 1] < 0 or rays.event[vertex] != lf.Event.TRANSMITTED:
+            continue
+        axis = np.append(centres[rays.lenslet[vertex]], 0.0)
+        curve = rays.curves(np.array([vertex]))[vertex] - axis
+        index = N0 * np.sqrt(1.0 - ROD_G**2 * (curve[0, :2] @ curve[0, :2]))
+        momentum = index * rays.gradients.leaving[number][:2]
+        beta = np.sqrt(index**2 - momentum @ momentum)
+        turn = N0 * ROD_G * np.abs(curve[:, 2] - curve[0, 2])[:, None] / beta
+        expected = curve[0, :2] * np.cos(turn) + momentum / (N0 * ROD_G) * np.sin(turn)
+        np.testing.assert_allclose(curve[:, :2], expected, rtol=0.0, atol=1e-8)
+        found += 1
+    assert found > 20
+    for path in range(0, len(rays), 7):
+        for step in history(rays, path):
+            if step.in_gradient and step.short in ("MLAc", "MLAb"):
+                off = step.position_mm[:2] - centres[np.argmin(np.linalg.norm(centres - step.position_mm[:2], axis=1))]
+                assert step.index == pytest.approx(N0 * np.sqrt(1.0 - ROD_G**2 * (off @ off)), rel=1e-12)
+
+
+def test_a_curve_goes_on_behind_a_clear_wall() -> None:
+    """Towards the axis of the next rod; both pieces end on the recorded vertices."""
+    world = lf.build(rods("lens", walls="clear"))
+    rays = from_field_point(world, (6.0, 0.0, -40.0), 80, aim="lens", weight_cutoff=0.0)
+    at, to = rays.lenslet[:-1], rays.lenslet[1:]
+    crossing = np.flatnonzero((at >= 0) & (to >= 0) & (at != to) & np.isin(np.arange(len(at)), rays.gradients.vertex))
+    assert len(crossing) > 0
+    for vertex, curve in rays.curves(crossing).items():
+        steps = np.linalg.norm(np.diff(curve, axis=0), axis=1)
+        assert steps.max() < 1.01 * steps.min(), vertex

@@ -8,6 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 import lfmesh as lf
+from lfmesh.geometry import frame as frames
+from lfmesh.transport.packets.packet import WORLD_FRAME
 from lfmesh.view.key_figures import key_figures
 from lfmesh.view.layout.content import layout
 from lfmesh.view.rays.gradient_segments import FLATNESS
@@ -175,8 +177,9 @@ ROD_G, ROD_MM = 0.9, 4.0
 
 def rods(side: str, walls: str = "absorb") -> lf.Scene:
     lens = {"surfaces": [{"paraxial": True, "focal_length_mm": 20.0, "stop": True, "semi_diameter_mm": 2.0}]}
+    gradient = {"kind": "radial_n2", "index": N0, "coefficients": [-ROD_G * ROD_G]}
     mla = {"count": [8, 8], "pitch_mm": 0.4, "thickness_mm": ROD_MM, "distance_mm": 22.0, "curved_side": side,
-           "walls": walls, "gradient": {"kind": "radial_n2", "index": N0, "coefficients": [-ROD_G * ROD_G]}}  # fmt: skip
+           "walls": walls, "gradient": gradient}  # fmt: skip
     sensor = {"pixels": [64, 64], "pixel_mm": 0.05, "distance_mm": 2.0}
     camera = {"lens": lens, "mla": mla, "sensor": sensor}
     return lf.Scene.model_validate(
@@ -189,8 +192,9 @@ def test_curves_in_the_rods_of_an_array_are_those_of_the_closed_form(side: str) 
     """About the axis of each rod, with the index of its own field at the vertices."""
     world = lf.build(rods(side))
     rays = from_field_point(world, (0.3, -0.5, -200.0), 60, aim="lens", weight_cutoff=0.0)
-    lattice = world.tables.mla.lenslets.lattice
-    centres = lattice.centres().reshape(-1, 2)
+    mla = world.tables.mla
+    flat = mla.lenslets.lattice.centres().reshape(-1, 2)
+    centres = frames.points(world.tables.frames[mla.frame, WORLD_FRAME], np.pad(flat, ((0, 0), (0, 1))))[:, :2]
     found = 0
     for number, vertex in enumerate(rays.gradients.vertex.tolist()):
         if rays.lenslet[vertex + 1] < 0 or rays.event[vertex] != lf.Event.TRANSMITTED:

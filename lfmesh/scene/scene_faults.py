@@ -271,7 +271,7 @@ def _glass_faults(scene: SceneParts) -> Iterator[Fault]:
             try:
                 refractive_index(medium, wavelength)
                 if isinstance(medium, Gradient):
-                    medium.index_on_axis(wavelength, ends[where])
+                    medium.check_axis(wavelength, ends[where])
             except GlassError as error:
                 yield Fault(where, None, str(error))
                 break

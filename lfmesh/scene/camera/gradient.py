@@ -45,6 +45,9 @@ MOST_DISPERSION_TERMS = 8
 LOWEST, HIGHEST = 1.0, 10.0
 """Bounds of the index on the axis."""
 
+AXIS_POINTS = 32
+"""Number of equal parts of a gap between which the index on the axis is checked."""
+
 Coefficients = Annotated[tuple[Coefficient, ...], Field(max_length=MOST_TERMS)]
 GivenCoefficients = Annotated[tuple[Coefficient, ...], Field(min_length=1, max_length=MOST_TERMS)]
 Series = Annotated[tuple[Coefficient, ...], Field(min_length=1, max_length=MOST_DISPERSION_TERMS)]
@@ -138,6 +141,22 @@ class Gradient(Model):
                 f"between {LOWEST:g} and {HIGHEST:g}"
             )
         return index
+
+    def check_axis(self, wavelength_nm: float, length_mm: float) -> None:
+        """Refuse an index on the axis that leaves the range from 1 to 10 between two vertices.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+        length_mm : float
+            Distance between the vertices.
+
+        Raises
+        ------
+        GlassError
+        """
+        for k in range(AXIS_POINTS + 1):
+            self.index_on_axis(wavelength_nm, length_mm * k / AXIS_POINTS)
 
     def _shape(self, wavelength_nm: float) -> GradientProfile:
         raise NotImplementedError

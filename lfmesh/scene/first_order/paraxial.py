@@ -95,6 +95,7 @@ def gradient_gap(gradient: Gradient, wavelength_nm: float, length_mm: float, sec
     GlassError
         The index on the axis is not between 1 and 10.
     """
+    gradient.check_axis(wavelength_nm, length_mm)
     end_index = gradient.index_on_axis(wavelength_nm, length_mm)
     matrix, size = gap_and_sizes(gradient.profile(wavelength_nm), length_mm, section_x=section_x)
     return GradientGap(Matrix(*matrix), Matrix(*size), end_index)

@@ -140,6 +140,27 @@ def test_the_hybrid_singlet_brings_two_colours_together() -> None:
     assert images[False, 656.3] - images[False, 486.1] > 0.9
 
 
+def test_the_rods_of_the_contact_sensor_image_its_chart_upright_at_its_own_size() -> None:
+    """Paraxial rays by hand: height and n u harmonic in z within n = n0 sech(g r), and straight in air and window."""
+    scene = load(ASSETS / "scenes" / "grin_rods.toml")
+    mla, sensor, window = scene.camera.mla, scene.camera.sensor, scene.camera.lens.surfaces[0]
+    n0, g = mla.gradient.index, math.sqrt(-mla.gradient.coefficients[0])
+    angle = g * mla.thickness_mm
+    before = 0.1 + window.thickness_mm / 1.5168 + mla.distance_mm
+    rod = np.array(
+        [[math.cos(angle), math.sin(angle) / (n0 * g)], [-n0 * g * math.sin(angle), math.cos(angle)]]
+    )  # fmt: skip
+    there = np.array([[1.0, sensor.distance_mm], [0.0, 1.0]]) @ rod @ np.array([[1.0, before], [0.0, 1.0]])
+    assert there[0] == pytest.approx([1.0, 0.0], abs=2e-5)
+    report = first_order(scene)
+    assert report.relay_magnification == pytest.approx(1.0, abs=1e-6)
+    assert report.object_distance_mm == pytest.approx(0.1, abs=2e-5)
+    # sech² by its series, up to the corner of a cell.
+    r = np.linspace(0.0, mla.pitch_mm / math.sqrt(3.0), 50)
+    series = 1.0 + sum(c * r ** (2 * k + 2) for k, c in enumerate(mla.gradient.coefficients))
+    assert np.abs(series - np.cosh(g * r) ** -2).max() < 1e-7
+
+
 def test_the_promised_scenes_are_there() -> None:
     promised = {"first_light", "lit_chart", "conventional", "hexagonal", "emitting_plane", "lytro_class", "focused"}
     assert {
@@ -151,6 +172,7 @@ def test_the_promised_scenes_are_there() -> None:
         "cover_glass",
         "diffraction",
         "glossy",
+        "grin_rods",
         "ground_glass",
         "hot_metal",
         "hybrid_singlet",

@@ -34,6 +34,7 @@ CROPS = {
     "focused": (-1.0, 0.5),
     "fog": (-1.0, 0.5),
     "glossy": (1.0, 0.5),
+    "grin_rods": (-1.0, 0.5),
     "ground_glass": (-1.0, 0.5),
     "hexagonal": (-1.0, 0.5),
     "hybrid_singlet": (-1.0, 0.5),

@@ -50,7 +50,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_beyond_norm(scene),
         *_thin_layers(scene),
         *_micro_images(scene, facts),
-        *_coverage(scene),
+        *_coverage(scene, facts),
         *_targets(scene, facts),
         *_light(scene),
         *_rough_camera(scene),
@@ -380,12 +380,13 @@ def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
             )
 
 
-def _coverage(scene: Scene) -> Iterator[str]:
+def _coverage(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     mla, sensor = scene.camera.mla, scene.camera.sensor
     if mla is None:
         return
     for side, lenslets, pixels in zip(("wide", "high"), mla.size_mm, sensor.size_mm, strict=True):
-        if pixels < 0.9 * lenslets:
+        # Rods beside the sensor add to the image at its border.
+        if pixels < 0.9 * lenslets and facts.relay_magnification is None:
             yield (
                 f"the sensor is {pixels:.4g} mm {side}, the array {lenslets:.4g} mm: the outer lenslets are not "
                 "recorded"

@@ -81,7 +81,7 @@ class MicrolensArray(Model):
     `radius_mm`, or flat faces. Omitted: a homogeneous plate."""
     walls: Literal["absorb", "clear"] = "absorb"
     """Walls between the cells of a plate with a `gradient`: "absorb" light that reaches them, as between rods, or
-    "clear": refract it into the next cell."""
+    "clear": let it pass into the next cell, if the glass of both cells is the same at their wall."""
     thickness_mm: Positive
     """Thickness from the apex of the curved face to the flat face, or to the apexes of `back`, in mm."""
     curved_coating: Text = UNCOATED

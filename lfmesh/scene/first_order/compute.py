@@ -13,6 +13,7 @@ from lfmesh.scene.first_order.kick_error import KickError, kick_error
 from lfmesh.scene.first_order.lenslet_waves import error_on_true_faces
 from lfmesh.scene.first_order.lenslets import lenslet_sections, lenslet_to_sensor_mm, micro_image
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
+from lfmesh.scene.first_order.relay import Relay, relay_of
 from lfmesh.scene.first_order.report import CONVENTIONAL, GALILEAN, KEPLERIAN, STANDARD, AtWavelength, FirstOrder
 from lfmesh.scene.first_order.solve import cover_shift_mm, image_plane_mm, solved
 from lfmesh.scene.scene import Scene
@@ -66,17 +67,21 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     stop_radius = camera.lens.surfaces[lens.stop].semi_diameter_mm or math.nan
     entrance_z, entrance_diameter = lens.entrance_pupil(stop_radius)
     exit_z, exit_diameter = lens.exit_pupil(stop_radius)
-    plane = image_plane_mm(camera, wavelength)
+    relay = relay_of(camera, wavelength)
+    plane = image_plane_mm(camera, wavelength) if relay is None else relay.plane_mm
 
     def cone(image_mm: float) -> float:
-        return abs(lens.chief_height_mm(image_mm)) / (2.0 * stop_radius)
+        own = abs(lens.chief_height_mm(image_mm)) / (2.0 * stop_radius)
+        return own if relay is None else max(own, relay.f_number)
 
     f_number = cone(plane)
     # Distance from the exit pupil over its diameter: with 1 / (2 n' u') the f-number, 1 / (2 u').
     ratio = lens.image_index * f_number
     per_pupil = quotient(lens.from_stop.d / lens.image_index, lens.chief_height_mm(plane))
-    micro = micro_image(camera, wavelength, per_pupil, ratio)
-    focused = focused_lenslets(camera, wavelength, lens, quotient(1.0, ratio), per_pupil)
+    micro, focused = None, ()
+    if relay is None:
+        micro = micro_image(camera, wavelength, per_pupil, ratio)
+        focused = focused_lenslets(camera, wavelength, lens, quotient(1.0, ratio), per_pupil)
     standard = micro is not None and not focused
     image, sample = plane, camera.mla.pitch_mm if camera.mla is not None and standard else camera.sensor.pixel_mm
     kind = STANDARD if standard else CONVENTIONAL
@@ -86,7 +91,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         kind = KEPLERIAN if middle.main_image_mm > 0.0 else GALILEAN
     distance = lens.object_mm(image)
     magnification = lens.magnification_onto(image)
-    near, far, refocused = _refocus_range(camera, wavelength, lens, ratio)
+    near, far, refocused = _refocus_range(camera, wavelength, lens, ratio, relay)
     if focused:
         near, far = min(at.near_mm for at in focused), max(at.far_mm for at in focused)
         refocused = ()
@@ -120,7 +125,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         microlens_f_number=micro[0] if micro else None,
         micro_image_pitch_px=micro[1] if micro else None,
         micro_image_diameter_px=micro[2] if micro else None,
-        object_sampling_mm=_on_object(sample, magnification),
+        object_sampling_mm=_on_object(sample, magnification * (1.0 if relay is None else relay.magnification)),
         field_of_view_mm=field.size_mm(-distance),
         field=field,
         airy_wavelength_nm=longest,
@@ -137,7 +142,8 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         cover_shift_mm=cover_shift_mm(camera, wavelength) if camera.sensor.cover is not None else None,
         by_wavelength=tuple(_by_wavelength(scene, lens, distance)),
         focused=focused,
-        lenslet_sections=tuple(lenslet_sections(camera, wavelength, lens, ratio)),
+        relay_magnification=None if relay is None else relay.magnification,
+        lenslet_sections=tuple(lenslet_sections(camera, wavelength, lens, ratio if relay is None else None)),
         object_index=lens.indices[0],
         image_index=lens.image_index,
         poses=tuple(_pose_lines(camera)),
@@ -192,13 +198,16 @@ def _refocus_depth_mm(camera: Camera, wavelength_nm: float, ratio: float) -> flo
 
 
 def _refocus_range(
-    camera: Camera, wavelength_nm: float, lens: Paraxial, ratio: float
+    camera: Camera, wavelength_nm: float, lens: Paraxial, ratio: float, relay: Relay | None
 ) -> tuple[float, float, tuple[tuple[float, float, float], ...]]:
     """Return the ends of the refocus range, and the depth of field of photographs in it, in mm.
 
     The plane of lenslets or sensor is shifted by up to `_refocus_depth_mm`. `ratio` is the exit pupil's distance over
-    its diameter.
+    its diameter. The plane that a relay images is sharp to a pixel of its own image.
     """
+    if relay is not None:
+        depth = camera.sensor.pixel_mm / relay.magnification * ratio
+        return *along_shifts(lens, relay.plane_mm).between_mm(-depth, depth), ()
     shifts = along_shifts(lens, image_plane_mm(camera, wavelength_nm))
     depth = abs(_refocus_depth_mm(camera, wavelength_nm, ratio))
     near, far = shifts.between_mm(-depth, depth)

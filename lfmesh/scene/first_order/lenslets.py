@@ -73,9 +73,9 @@ def micro_image(
 
 
 def lenslet_sections(
-    camera: Camera, wavelength_nm: float, lens: Paraxial, ratio: float
+    camera: Camera, wavelength_nm: float, lens: Paraxial, ratio: float | None
 ) -> Iterator[LensletSection]:  # fmt: skip
-    """Yield the lenslets section by section, if they are cylinders, on both faces, or have a phase.
+    """Yield the lenslets section by section, if they are cylinders, on both faces, or have a phase or gradient.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ def lenslet_sections(
     wavelength_nm : float
     lens : Paraxial
         The camera's lens at this wavelength.
-    ratio : float
-        Distance from the exit pupil to the lenslets over its diameter.
+    ratio : float or None
+        Distance from the exit pupil to the lenslets over its diameter. None: they make no micro-images.
     """
     mla, sensor = camera.mla, camera.sensor
     if mla is None or not (len(sections(mla)) > 1 or mla.both_faces_act):
@@ -93,7 +93,7 @@ def lenslet_sections(
     for section in sections(mla):
         at = lenslet_optics(camera, wavelength_nm, section=section)
         number = pitch = diameter = None
-        if at.power_per_mm != 0.0:
+        if at.power_per_mm != 0.0 and ratio is not None:
             inside = lenslet_to_sensor_mm(camera, wavelength_nm, at)
             height = lens.chief_height_mm((mla.distance_mm or math.nan) + at.front_principal_mm)
             apart = mla.pitch_mm if section == "x" else mla.row_pitch_mm

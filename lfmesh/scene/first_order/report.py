@@ -135,9 +135,12 @@ class FirstOrder(Shown):
     """Distance behind the image plane of the image of the plane in focus in the x–z section."""
     focused: tuple[FocusedLenslets, ...] = ()
     """Lenslets of a focused plenoptic camera, by type."""
+    relay_magnification: float | None = None
+    """Magnification at which every lenslet images the plane in focus upright onto the sensor, as gradient-index rods
+    can; None for other arrays. The camera then counts as conventional, with the lenslets as a part of its lens."""
     lenslet_sections: tuple[LensletSection, ...] = ()
-    """Lenslets by section, if they are cylinders, have two faces or a phase; otherwise empty. The lenslet figures above
-    are for the section with the power of the curved face."""
+    """Lenslets by section, if they are cylinders, have two faces, a phase or a gradient; otherwise empty. The lenslet
+    figures above are for the section with the power of the curved face."""
     poses: tuple[str, ...] = ()
     """Lens elements, array and sensor with a pose, one line each; all figures ignore the poses."""
     warnings: tuple[str, ...] = ()
@@ -178,6 +181,9 @@ class FirstOrder(Shown):
         if self.cover_shift_mm is not None:
             way = "away from" if self.cover_shift_mm >= 0.0 else "towards"
             rows.append(("sensor's cover", f"moves the image {_um(abs(self.cover_shift_mm))} {way} the lens"))
+        if self.relay_magnification is not None:
+            words = f"image the plane in focus upright onto the sensor, {self.relay_magnification:.6g} times as large"
+            rows += [("lenslets", words), *map(_section_row, self.lenslet_sections)]
         if mla:
             rows += [
                 ("microlens f-number", f"{self.microlens_f_number:.4g}"),
@@ -309,8 +315,10 @@ class FirstOrder(Shown):
 def _section_row(at: LensletSection) -> tuple[str, str]:
     """Return the report's row for the lenslets in one section."""
     name = f"lenslets, {at.section}–z" if at.section else "lenslets, both faces"
-    if at.micro_image_pitch_px is None:
+    if at.micro_image_pitch_px is None and math.isinf(at.focal_length_mm):
         return name, "no power: light lands on lines"
+    if at.micro_image_pitch_px is None:
+        return name, f"focal length {_mm(at.focal_length_mm)}, focus {_mm(at.focus_behind_mm)} behind the array"
     return (
         name,
         f"focal length {_mm(at.focal_length_mm)}, f/{at.f_number:.4g}, focus {_mm(at.focus_behind_mm)} behind the "

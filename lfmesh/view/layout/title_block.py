@@ -67,8 +67,10 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
     profile = f" {mla.profile_words}," if mla.profile_words else f", {side}"
     focal = ", ".join(f"{f:.4g}" for f in lenslet_focal_length_mm(camera, facts.wavelength_nm))
     shape = ", both faces curved" if mla.has_back else f"{profile} to the {mla.curved_side}"
-    micro = f"{facts.micro_image_diameter_px:.3g} px, every {facts.micro_image_pitch_px:.5g} px"
-    number = f"f/{facts.microlens_f_number:.3g}"
+    micro = number = "none"
+    if facts.microlens_f_number is not None:
+        micro = f"{facts.micro_image_diameter_px:.3g} px, every {facts.micro_image_pitch_px:.5g} px"
+        number = f"f/{facts.microlens_f_number:.3g}"
     if len(facts.lenslet_sections) > 1:
         bent = [at for at in facts.lenslet_sections if at.f_number is not None]
         number = ", ".join(f"{at.section}: f/{at.f_number:.3g}" for at in bent)

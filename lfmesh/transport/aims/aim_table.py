@@ -138,7 +138,9 @@ def aim_table(scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, 
     back_radius = widest_disk(lens, behind, front=False)
     glass = 1.0
     if mla.present and scene.camera.mla is not None:
-        glass = scene.camera.relative_index(scene.camera.mla.medium, report.wavelength_nm)
+        if mla.back is None:
+            # Lenslets on both faces are seen without a plate before them.
+            glass = scene.camera.relative_index(scene.camera.mla.medium, report.wavelength_nm)
         lattice = mla.lenslets.lattice
         apexes = grid(*lattice.half_extent, apex_z(mla, glass)[1])
         behind = frame.points(moves[MLA_FRAME, CAMERA_FRAME], apexes)

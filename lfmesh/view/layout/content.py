@@ -13,7 +13,7 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.objects.targets import target_mesh
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene import FirstOrder, Scene
+from lfmesh.scene import FirstOrder, MicrolensArray, Scene
 from lfmesh.scene.first_order.focused import middle_of
 from lfmesh.scene.first_order.solve import (
     apparent_thickness_mm,
@@ -307,9 +307,9 @@ def _lenslets_close_up(scene: Scene, facts: FirstOrder, world: World, aim: Aim) 
     moves, lenslets = world.tables.frames, world.tables.mla.lenslets
     to_camera = moves[MLA_FRAME, CAMERA_FRAME]
     toward_lens = mla.frame_side == "lens"
-    # Seen through the plate, the apexes appear nearer to the lens; of two curved faces it sees the first.
+    # Seen through the plate, the apexes appear nearer to the lens; of two faces with lenslets it sees the first.
     seen_z = 0.0 if toward_lens else mla.thickness_mm - apparent_thickness_mm(scene.camera, scene.primary_nm)
-    if mla.has_back:
+    if _is_seen_directly(mla):
         seen_z = mla.thickness_mm
     at = lenslets.apexes
     apex = np.dstack([at, np.full(at.shape[:2], seen_z)]).reshape(-1, 3) @ to_camera[:, :3].T + to_camera[:, 3]
@@ -342,7 +342,7 @@ def _lenslets_close_up(scene: Scene, facts: FirstOrder, world: World, aim: Aim) 
         other = second.section(along, curved_face(second, world.tables.mla.back.lenslets, along))
     plate = np.concatenate([cut.section(s, curved_face(cut, lenslets, s)), other])
     # Rays are aimed at the apparent apexes, but distances are measured from the real ones.
-    stands = apex + (0.0 if mla.has_back else -seen_z) * to_camera[:, 2]
+    stands = apex + (0.0 if _is_seen_directly(mla) else -seen_z) * to_camera[:, 2]
     neighbour = stands[middle + step if middle + step < len(apex) else max(0, middle - step)]
     heights, lengths = _array_dimensions(scene, to_camera, stands[middle], neighbour, sensor_z, image)
     if image is None:
@@ -351,6 +351,11 @@ def _lenslets_close_up(scene: Scene, facts: FirstOrder, world: World, aim: Aim) 
         x, window, plate, *_sensor_close_up(sensor, scene, window), bundles, heights, lengths,
         _array_caption(x, image, len(bundles)),
     )  # fmt: skip
+
+
+def _is_seen_directly(mla: MicrolensArray) -> bool:
+    """Tell whether the lens sees lenslets on its own side, though the array's frame starts from the other face."""
+    return mla.has_back or mla.gradient is not None
 
 
 def _nearest_axis(apex: Array, pitch: float) -> int:
@@ -403,8 +408,8 @@ def _array_dimensions(
     distance = abs(float(neighbour[1] - apex[1]))
     heights = [Dimension(apex[[2, 1]], np.array([z, neighbour[1]]), f"{what} = {distance:.4g} mm")]
     # Along the axis, from the lenslet as placed, which may be tilted.
-    # With two curved faces, the apex is on the face opposite the frame's origin.
-    into = np.array([0.0, 0.0, -mla.thickness_mm if mla.has_back else mla.thickness_mm]) @ to_camera[:, :3].T
+    # The apexes of the face that the lens sees directly are opposite the frame's origin.
+    into = np.array([0.0, 0.0, -mla.thickness_mm if _is_seen_directly(mla) else mla.thickness_mm]) @ to_camera[:, :3].T
     front, back = sorted((z, z + float(into[2])))
     chain = [(front, back), (back, sensor_z)]
     lengths = [(a, b, f"{b - a:.4g} mm") for a, b in chain]

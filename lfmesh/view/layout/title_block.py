@@ -63,10 +63,12 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
     pixels = f"{sensor.pixels[0]} × {sensor.pixels[1]} pixels of {length_in_words(sensor.pixel_mm)}{around}"
     if mla is None:
         return [first, [(4.0, "microlens array", "none: a conventional camera"), (4.0, "sensor", pixels)]]
-    side = "curved side" if any(map(math.isfinite, mla.radii_mm)) else "diffractive side"
-    profile = f" {mla.profile_words}," if mla.profile_words else f", {side}"
+    curved = any(map(math.isfinite, mla.radii_mm))
+    profile = f" {mla.profile_words}," if mla.profile_words else ", curved side" if curved else ", diffractive side"
     focal = ", ".join(f"{f:.4g}" for f in lenslet_focal_length_mm(camera, facts.wavelength_nm))
     shape = ", both faces curved" if mla.has_back else f"{profile} to the {mla.curved_side}"
+    if mla.gradient is not None:
+        shape = f"{shape if mla.has_back or curved else ', plane faces'}, gradient-index"
     micro = number = "none"
     if facts.microlens_f_number is not None:
         micro = f"{facts.micro_image_diameter_px:.3g} px, every {facts.micro_image_pitch_px:.5g} px"

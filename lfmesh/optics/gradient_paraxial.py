@@ -132,36 +132,23 @@ def _followed(profile: GradientProfile, length_mm: float, section_x: bool, steps
     index, rate = _along_axis(profile, z, section_x)
     beta, gamma = ((each / index).reshape(steps, 3) for each in (np.ones_like(rate), rate))
     # A matrix without trace is kept as its elements (a, b, c) of [[a, b], [c, −a]].
-    zero = np.zeros(steps)
-    first = zero, h * beta[:, 1], h * gamma[:, 1]
-    second = zero, *(h * sqrt(15.0) / 3.0 * (each[:, 2] - each[:, 0]) for each in (beta, gamma))
-    third = zero, *(h * 10.0 / 3.0 * (each[:, 2] - 2.0 * each[:, 1] + each[:, 0]) for each in (beta, gamma))
+    at = np.stack([np.zeros_like(beta), beta, gamma])
+    first = h * at[:, :, 1]
+    second = h * sqrt(15.0) / 3.0 * (at[:, :, 2] - at[:, :, 0])
+    third = h * 10.0 / 3.0 * (at[:, :, 2] - 2.0 * at[:, :, 1] + at[:, :, 0])
     c1 = _commutator(first, second)
-    c2 = _scaled(-1.0 / 60.0, _commutator(first, _sum(_scaled(2.0, third), c1)))
-    inner = _commutator(_sum(_scaled(-20.0, first), _scaled(-1.0, third), c1), _sum(second, c2))
-    exponents = _sum(first, _scaled(1.0 / 12.0, third), _scaled(1.0 / 240.0, inner))
+    c2 = _commutator(first, 2.0 * third + c1) / -60.0
+    exponents = first + third / 12.0 + _commutator(-20.0 * first - third + c1, second + c2) / 240.0
     total = _UNIT
-    for a, b, c in zip(*exponents, strict=True):
-        total = _product(_exponential(float(a), float(b), float(c)), total)
+    for a, b, c in exponents.T.tolist():
+        total = _product(_exponential(a, b, c), total)
     return total
 
 
-Traceless = tuple[Array, Array, Array]
-
-
-def _commutator(left: Traceless, right: Traceless) -> Traceless:
+def _commutator(left: Array, right: Array) -> Array:
+    """Return the commutators of matrices without trace, (3, n)."""
     (a, b, c), (p, q, r) = left, right
-    return b * r - q * c, 2.0 * (a * q - p * b), 2.0 * (c * p - r * a)
-
-
-def _sum(*each: Traceless) -> Traceless:
-    a, b, c = (np.sum(elements, axis=0) for elements in zip(*each, strict=True))
-    return a, b, c
-
-
-def _scaled(factor: float, matrix: Traceless) -> Traceless:
-    a, b, c = matrix
-    return factor * a, factor * b, factor * c
+    return np.stack([b * r - q * c, 2.0 * (a * q - p * b), 2.0 * (c * p - r * a)])
 
 
 def _exponential(a: float, b: float, c: float) -> GapMatrix:

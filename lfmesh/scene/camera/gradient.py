@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import Annotated, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from lfmesh.errors import GlassError
@@ -378,10 +380,12 @@ def _profile(gradient: Gradient, wavelength_nm: float) -> GradientProfile:
     return gradient._shape(wavelength_nm)
 
 
-def _filled(rows: tuple[tuple[float, ...], ...]) -> list[list[float]]:
-    """Return rows of equal length, with zeros at their ends."""
-    longest = max(map(len, rows))
-    return [[*row, *[0.0] * (longest - len(row))] for row in rows]
+def _filled(rows: tuple[tuple[float, ...], ...]) -> NDArray[np.float64]:
+    """Return rows of different lengths as an array, with zeros at their ends."""
+    filled = np.zeros((len(rows), max(map(len, rows))))
+    for i, row in enumerate(rows):
+        filled[i, : len(row)] = row
+    return filled
 
 
 def _without_zeros(coefficients: tuple[float, ...]) -> tuple[float, ...]:

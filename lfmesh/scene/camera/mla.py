@@ -302,8 +302,9 @@ class MicrolensArray(Model):
                 ("focal_length_mm",), None, "missing: give focal_length_mm, radius_mm, curved_phase or gradient"
             )
         if not self._may_be_flat and math.inf in self.radii_mm:
-            why = "a flat face bends no light: give a radius, or curved_phase or gradient too"
-            yield Fault(("radius_mm",), math.inf, why)
+            yield Fault(
+                ("radius_mm",), math.inf, "a flat face bends no light: give a radius, or curved_phase or gradient too"
+            )
         shapes = list(self._profile_faults())
         for kind, radius in enumerate(self.radii_mm if not shapes else ()):
             if why := self.cap_fault(radius, kind=kind):

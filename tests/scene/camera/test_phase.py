@@ -339,8 +339,8 @@ class TestArrays:
     @pytest.mark.parametrize(
         ("keys", "said"),
         [
-            ({}, "missing: give focal_length_mm, radius_mm or curved_phase"),
-            ({"flat_phase": METALENS}, "missing: give focal_length_mm, radius_mm or curved_phase"),
+            ({}, "missing: give focal_length_mm, radius_mm, curved_phase or gradient"),
+            ({"flat_phase": METALENS}, "missing: give focal_length_mm, radius_mm, curved_phase or gradient"),
             ({"radius_mm": math.inf}, "radius_mm = inf: a flat face bends no light"),
             ({"curved_phase": METALENS, "curved_finish": "diffuse"}, 'curved_phase: omit it: .* "diffuse"'),
             ({"radius_mm": 0.3, "flat_phase": METALENS, "flat_finish": "diffuse"}, 'flat_phase: omit it: .* "diffuse"'),

@@ -34,6 +34,7 @@ from lfmesh.transport.checks.tails import SIDE, tails
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import ROWS_AT_ONCE
 from lfmesh.transport.render.certainty import FEW_HITS, neighbours, weight_around
+from lfmesh.transport.tables.gradient_spaces import stop_within_gradients
 from lfmesh.transport.tables.phase_faces import has_orders
 
 if TYPE_CHECKING:
@@ -144,6 +145,7 @@ def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
     if proof is None:
         meshes = scene.camera.lens.has_meshes
         why = "the lens has surfaces of mesh files" if meshes else "no ray from the stop could be traced to the sensor"
+        why = "the stop lies between gradient-index glass on both sides" if stop_within_gradients(scene) else why
         yield LightOutsideAimWarning(
             f"rays are not proven to be aimed at all light, because {why}. Light outside the aim comes {_AS_NOISE}"
         )

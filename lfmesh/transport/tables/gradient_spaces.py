@@ -68,6 +68,12 @@ def has_gradients(scene: Scene) -> bool:
     )
 
 
+def stop_within_gradients(scene: Scene) -> bool:
+    """Tell whether gradient-index glass stands on both sides of the stop of a scene's lens."""
+    surfaces, stop = scene.camera.lens.surfaces, scene.camera.lens.stop_index
+    return bool(stop) and surfaces[stop].gradient is not None and surfaces[stop - 1].gradient is not None
+
+
 def refuse_untraceable_gradients(scene: Scene) -> None:
     """Refuse settings under which rays through gradient-index glass cannot be traced.
 

@@ -77,7 +77,7 @@ def gap_of(gradients: GradientSpaces, surfaces: NDArray[np.void], space: int) ->
         Of the lens.
     space : int
     """
-    return Gap(surfaces, space, gradients.origin_z[space], gradients.edge[space, 1], gradients.edge[space, 3])
+    return Gap(surfaces, int(space), gradients.origin_z[space], gradients.edge[space, 1], gradients.edge[space, 3])
 
 
 @inlined

@@ -38,6 +38,10 @@ STEEPER = (1.0, 2.0, 4.0)
 """Factors on the slopes of probe rays. Gradients bend rays that start steeper than the rims allow, so that they arrive
 all the same; other rays end on the edge, and count no more."""
 
+TRIAL_STEPS, WIDER = 64, 1.25
+"""Steps of the trial that finds the probe rays that arrive, and factor on the rims of the gap where these are compared.
+"""
+
 Frames = NDArray[np.float64]
 
 
@@ -71,7 +75,9 @@ def has_gradients(scene: Scene) -> bool:
 def stop_within_gradients(scene: Scene) -> bool:
     """Tell whether gradient-index glass stands on both sides of the stop of a scene's lens."""
     surfaces, stop = scene.camera.lens.surfaces, scene.camera.lens.stop_index
-    return bool(stop) and surfaces[stop].gradient is not None and surfaces[stop - 1].gradient is not None
+    if not stop:
+        return False
+    return surfaces[stop].gradient is not None and surfaces[stop - 1].gradient is not None
 
 
 def refuse_untraceable_gradients(scene: Scene) -> None:
@@ -189,12 +195,17 @@ def _steps_of(profile: GradientProfile, gap: Gap, *, around: bool) -> tuple[int,
         )
     rays, span = starting_rays(gradients, 0, points, directions), float((lengths / np.sqrt(squares)).max())
 
-    def trace(steps: int) -> tuple[NDArray[np.bool_], Array]:
-        ends, walls = rays.copy(), np.zeros(len(rays), np.int64)
-        follow_rays_in_gap(gradients, 0, gap, ends, walls, span / steps, steps)
+    def traced(some: Array, within: Gap, steps: int) -> tuple[NDArray[np.bool_], Array]:
+        ends, walls = some.copy(), np.zeros(len(some), np.int64)
+        follow_rays_in_gap(gradients, 0, within, ends, walls, span / steps, steps)
         return (walls == FRONT) | (walls == BACK), ends
 
-    steps = steps_needed(trace, TOLERANCE_MM)
+    arriving = rays[traced(rays, gap, TRIAL_STEPS)[0]]
+    if not len(arriving):
+        raise GlassError("no ray from one face reaches the other one")
+    # Rays that just pass the edge would pass it in some numbers of steps only.
+    wide = gap._replace(front_rim=WIDER * gap.front_rim, back_rim=WIDER * gap.back_rim)
+    steps = steps_needed(lambda count: traced(arriving, wide, count), TOLERANCE_MM)
     return steps, span / steps
 
 

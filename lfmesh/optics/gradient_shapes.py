@@ -101,6 +101,10 @@ class GradientMaterial(NamedTuple):
 
 _NO_MATERIAL = np.zeros(0)
 
+SMOOTH = 1e-9
+"""Slope of a spherical profile at its centre, over the radius and the second derivative, below which it is rounding.
+The profile then has a curvature at its centre."""
+
 
 def revolved_profile(coefficients: ArrayLike, quantity: int = INDEX) -> GradientProfile:
     """Return the profile Σ c_ij r^(2i) z^j.
@@ -261,8 +265,14 @@ def _polynomial_on_axis(profile: GradientProfile, z: Array) -> tuple[Array, Arra
         sign = copysign(1.0, radius)
         from_centre = np.abs(radius - z)
         t = radius - sign * from_centre
-        rate = _valued(polynomial.polyder(coefficients), t)
-        across = -sign * rate / from_centre
+        slope = polynomial.polyder(coefficients)
+        rate = _valued(slope, t)
+        # The slope over its distance from the centre, without the difference of equal numbers there.
+        quotient, at_centre = polynomial.polydiv(slope, [-radius, 1.0])
+        if abs(at_centre[0]) <= SMOOTH * abs(radius * _valued(quotient, radius)):
+            across = _valued(quotient, t)
+        else:
+            across = -sign * rate / from_centre
         return _valued(coefficients, t), sign * rate * np.sign(radius - z), across, across
     of_x, of_y, of_z = np.split(profile.numbers, [first, first + second])
     along = of_z if len(of_z) else np.zeros(1)

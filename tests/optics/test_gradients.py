@@ -216,5 +216,19 @@ def test_paraxial_terms_are_differences_about_the_axis(kind: str) -> None:
     np.testing.assert_allclose(np.column_stack([xx, yy]), across - linear**2 / n2[:, None], rtol=1e-5, atol=1e-9)
 
 
+@pytest.mark.parametrize("radius", [3.0, -2.0])
+def test_a_smooth_ball_has_the_curvature_of_its_polynomial_up_to_its_centre(radius: float) -> None:
+    """n = n₀ + c (ρ² − R²) is n₀ + c (r² − 2 R z + z²); a ball with a slope at its centre has no curvature there."""
+    c, z = -0.02, radius * np.array([0.0, 0.3, 1.0 - 1e-9, 1.0, 1.7])
+    # In t = R − ρ: ρ² − R² = t² − 2 R t.
+    ball = paraxial_at(spherical_profile(radius, (1.6, -2.0 * radius * c, c)), z)
+    same = paraxial_at(radial_and_axial_profile(1.6, [c], (-2.0 * radius * c, c)), z)
+    for own, other in zip(ball, same, strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-13, atol=1e-14)
+    with np.errstate(divide="ignore"):
+        pointed = paraxial_at(spherical_profile(radius, (1.6, 0.01)), [radius])
+    assert np.isinf(pointed[2]).all()
+
+
 def offsets(step: float) -> list[tuple[float, float]]:
     return [(0.0, 0.0), (step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)]

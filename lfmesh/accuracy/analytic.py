@@ -1,19 +1,21 @@
 """Sequential trace through the analytic surfaces, without meshes: the truth for the tracer's errors.
 
 It shares no code with the engine. Rays are transferred by Welford's formulae (Aberrations of Optical Systems, 1986,
-chapter 4) and Newton's method for aspheric terms, refracted by Snell's law in vector form, turned by phases, and
-weighted by Fresnel's transmittances and the shares of orders. The difference between float64 and extended precision is
-the error of the truth itself.
+chapter 4) and Newton's method for aspheric terms, and by extrapolation in gradient-index glass. They are refracted by
+Snell's law in vector form, turned by phases, and weighted by Fresnel's transmittances and the shares of orders. The
+difference between float64 and extended precision is the error of the truth itself.
 
 Camera frame throughout: z along the axis from object to sensor, origin at the first vertex, mm.
 """
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.accuracy.analytic_array import LensletArray, lenslet_array, through_array
+from lfmesh.accuracy.analytic_gradients import GradientIndex, Index, index_at, index_behind
 from lfmesh.accuracy.analytic_phases import DiffractionOrder, only_order
 from lfmesh.accuracy.analytic_rays import (
     NEWTON_STEPS,
@@ -39,8 +41,8 @@ class Interface:
     conic: float
     asphere: tuple[float, ...]
     aperture: float
-    index_before: float
-    index_after: float
+    index_before: Index
+    index_after: Index
     turn: NDArray[np.float64] | None = None
     """Rotation of a posed element, with `origin` as its shift; None: the surface is as prescribed."""
     origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
@@ -102,7 +104,7 @@ class Camera:
         lens, camera = scene.camera.lens, scene.camera
         interfaces = []
         media = lens.media
-        before, *behind = (refractive_index(medium, wavelength_nm) for medium in media)
+        before: Index = refractive_index(media[0], wavelength_nm)
         for i, (surface, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True)):
             if surface.mesh is not None:
                 raise LfmeshError(
@@ -114,7 +116,7 @@ class Camera:
                     f"camera.lens.surfaces[{i}].{surface.section_key}: the truth that errors are measured against has "
                     "surfaces of revolution only"
                 )
-            after = behind[i]
+            after = index_behind(media[i + 1], wavelength_nm, z)
             order = only_order(surface.phase, wavelength_nm, media[i], media[i + 1], f"camera.lens.surfaces[{i}].phase")
             interfaces.append(
                 Interface(
@@ -195,26 +197,40 @@ def _through_surface(rays: Rays, s: Interface) -> None:
     kind = rays.p.dtype.type
     if s.turn is not None:
         rays.p, rays.d = into_frame(rays, s.turn, s.origin)
-    p = rays.p - np.array([0, 0, s.vertex_z], kind)
-    t = conic_transfer(p, rays.d, kind(s.curvature), kind(s.conic))
-    if any(s.asphere) or any(s.odd):
-        t = _asphere_transfer(p, rays.d, s, t)
-    p = p + t[:, None] * rays.d
+    vertex = np.array([0, 0, s.vertex_z], kind)
+    if isinstance(s.index_before, GradientIndex):
+        start = np.where(rays.alive[:, None], rays.p, kind(np.nan))
+        met, rays.d, _ = s.index_before.follow(start, rays.d, partial(_height, s))
+        p = met - vertex
+    else:
+        p = rays.p - vertex
+        t = conic_transfer(p, rays.d, kind(s.curvature), kind(s.conic))
+        if any(s.asphere) or any(s.odd):
+            t = _asphere_transfer(p, rays.d, s, t)
+        p = p + t[:, None] * rays.d
     r2 = p[:, 0] ** 2 + p[:, 1] ** 2
     rays.alive &= r2 <= kind(s.aperture) ** 2
     g = 2 * _sag_rate(s, r2)
     normal = np.stack([-g * p[:, 0], -g * p[:, 1], np.ones_like(g)], axis=1)
-    rays.p = p + np.array([0, 0, s.vertex_z], kind)
+    rays.p = p + vertex
     if s.order is not None:
-        refract(rays, normal, s.index_before, s.index_after, s.order.change(p))
+        refract(rays, normal, index_at(s.index_before, rays.p), index_at(s.index_after, rays.p), s.order.change(p))
         rays.weight = rays.weight * kind(s.order.share)
     elif s.index_before != s.index_after:
-        refract(rays, normal, s.index_before, s.index_after)
+        refract(rays, normal, index_at(s.index_before, rays.p), index_at(s.index_after, rays.p))
     if s.thin_power:
         slopes = rays.d[:, :2] / rays.d[:, 2:] - kind(s.thin_power) * p[:, :2]
-        rays.d = np.column_stack([slopes, np.ones_like(t)]) / np.sqrt(1 + (slopes * slopes).sum(axis=1))[:, None]
+        rays.d = np.column_stack([slopes, np.ones_like(r2)]) / np.sqrt(1 + (slopes * slopes).sum(axis=1))[:, None]
     if s.turn is not None:
         rays.p, rays.d = out_of_frame(rays.p, rays.d, s.turn, s.origin)
+
+
+def _height(s: Interface, p: Array) -> tuple[Array, Array]:
+    """Return z minus the sag at points in the frame of the surface's element, and its gradient."""
+    r2 = p[:, 0] ** 2 + p[:, 1] ** 2
+    steep = -2 * _sag_rate(s, r2)
+    above = p[:, 2] - p.dtype.type(s.vertex_z) - _sag(s, r2)
+    return above, np.stack([steep * p[:, 0], steep * p[:, 1], np.ones_like(r2)], axis=1)
 
 
 def _sag(s: Interface, r2: Array) -> Array:

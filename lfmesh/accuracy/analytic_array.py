@@ -1,10 +1,13 @@
 """Microlens array of the analytic truth; see `analytic`."""
 
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.accuracy.analytic_gradients import GradientIndex, Height, Index, index_behind
 from lfmesh.accuracy.analytic_phases import DiffractionOrder, only_order
 from lfmesh.accuracy.analytic_rays import (
     NEWTON_STEPS,
@@ -20,10 +23,13 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.geometry.array.lenslets import lenslets
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene import BackFace, Scene
+from lfmesh.scene import BackFace, MicrolensArray, Scene
 
 CELL_STEPS = 6
 """Lenslets tried in turn: a ray may meet a neighbour of the lenslet guessed first."""
+
+WALL_SAMPLES = 64
+"""Points of a curved path that are held against the walls of its cell."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +40,11 @@ class LensletArray:
     ----------
     turn : (3, 3) float64, origin : (3,) float64
         Frame of the array; its z runs from the curved face into the glass.
-    index, outside : float
-        Refractive index of the glass, and of the medium on both sides of the array.
+    index : float or GradientIndex
+        Refractive index of the glass. A gradient depends on the place from the axis of each lenslet, and z on the depth
+        behind the face towards the lens.
+    outside : float
+        Refractive index of the medium on both sides of the array.
     curvature : (rows, columns) float64, 1/mm
     apex : (rows, columns, 2) float64, mm
     centre : (rows, columns, 2) float64, mm
@@ -53,7 +62,7 @@ class LensletArray:
     turn: NDArray[np.float64]
     origin: NDArray[np.float64]
     curved_to_lens: bool
-    index: float
+    index: Index
     outside: float
     thickness: float
     hexagonal: bool
@@ -86,12 +95,11 @@ def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletA
     Raises
     ------
     LfmeshError
-        The plate is gradient-index glass.
+        A plate with a gradient has clear walls, lenslets on both faces or errors of form.
     """
     mla = scene.camera.mla
     assert mla is not None
-    if mla.gradient is not None:
-        raise LfmeshError("camera.mla.gradient: the truth that errors are measured against has homogeneous plates only")
+    _refuse_without_truth(mla)
     lattice = Lattice(
         mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
     )
@@ -127,7 +135,7 @@ def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletA
         origin = origin + turn @ [0.0, 0.0, mla.thickness_mm]
         turn = turn @ np.diag([1.0, 1.0, -1.0])
     around = scene.camera.lens.media[-1]
-    index, outside = (refractive_index(medium, wavelength_nm) for medium in (mla.medium, around))
+    index, outside = index_behind(mla.medium, wavelength_nm, 0.0), refractive_index(around, wavelength_nm)
     # Light enters by the face towards the lens.
     inwards, outwards = (around, mla.medium), (mla.medium, around)
     order = only_order(mla.curved_phase, wavelength_nm, *(inwards if to_lens else outwards), "camera.mla.curved_phase")
@@ -142,6 +150,22 @@ def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletA
         np.array([mla.cylinder_axis != "x", mla.cylinder_axis != "y"], np.float64), order, flat_order,
     )  # fmt: skip
     return face if mla.back is None else replace(face, back=_other_face(face, mla.back))
+
+
+def _refuse_without_truth(mla: MicrolensArray) -> None:
+    """Refuse plates of gradient-index glass that are not traced here."""
+    if mla.gradient is None:
+        return
+    for key, is_there in (
+        ("walls", mla.walls != "absorb"),
+        ("back", mla.back is not None),
+        ("form", bool(mla.form.decenter_mm or mla.form.radius_error)),
+    ):
+        if is_there:
+            raise LfmeshError(
+                f"camera.mla.{key}: the truth that errors are measured against has a gradient only in perfect lenslets "
+                "with one flat face and walls that absorb"
+            )
 
 
 def _other_face(face: LensletArray, back: BackFace) -> LensletArray:
@@ -170,47 +194,78 @@ def through_array(rays: Rays, mla: LensletArray) -> None:
             rays.p, rays.d = out_of_frame(rays.p, rays.d, face.turn, face.origin)
         return
     rays.p, rays.d = into_frame(rays, mla.turn, mla.origin)
-    if mla.curved_to_lens:
-        _through_lenslets(rays, mla, mla.outside, mla.index)
-        _through_flat_face(rays, mla, mla.index, mla.outside)
-    else:
-        _through_flat_face(rays, mla, mla.outside, mla.index)
-        _through_lenslets(rays, mla, mla.index, mla.outside)
+    faces = _through_lenslets, _through_flat_face
+    first, last = faces if mla.curved_to_lens else faces[::-1]
+    cell = first(rays, mla, mla.outside, mla.index)
+    last(rays, mla, mla.index, mla.outside, cell)
     rays.p, rays.d = out_of_frame(rays.p, rays.d, mla.turn, mla.origin)
 
 
-def _through_flat_face(rays: Rays, mla: LensletArray, before: float, after: float) -> None:
+Cells = NDArray[np.int64]
+"""Number of the cell of each ray; −1 outside the array."""
+
+
+def _through_flat_face(
+    rays: Rays, mla: LensletArray, before: Index, after: Index, entered: Cells | None = None
+) -> Cells:  # fmt: skip
+    """Refract the rays at the flat face, and return their cells there."""
     kind = rays.p.dtype.type
-    t = (kind(mla.thickness) - rays.p[:, 2]) / rays.d[:, 2]
-    rays.p = rays.p + t[:, None] * rays.d
+    if isinstance(before, GradientIndex) and entered is not None:
+        cell = entered
+        _along_curves(rays, mla, before, cell, _flat_height(kind(mla.thickness)))
+    else:
+        t = (kind(mla.thickness) - rays.p[:, 2]) / rays.d[:, 2]
+        rays.p = rays.p + t[:, None] * rays.d
+        cell = _nearest_cell(mla, rays.p)
     # Between the faces a ray may exit through the array's edge.
-    cell = _nearest_cell(mla, rays.p)
     rays.alive &= cell >= 0
     along = np.sign(rays.d[:, 2])
     centre = mla.centre.reshape(-1, 2)[np.maximum(cell, 0)].astype(kind)
-    normal = np.stack([np.zeros_like(t), np.zeros_like(t), along], axis=1)
-    _into(mla.flat_order, rays, rays.p[:, :2] - centre, normal, before, after)
+    normal = np.stack([np.zeros_like(along), np.zeros_like(along), along], axis=1)
+    n_i, n_t = (_index_near(index, mla, cell, rays.p) for index in (before, after))
+    _into(mla.flat_order, rays, rays.p[:, :2] - centre, normal, n_i, n_t)
+    return cell
 
 
-def _through_lenslets(rays: Rays, mla: LensletArray, before: float, after: float) -> None:
-    """Refract the rays at the face of the lenslet in the cell where they meet it.
+def _through_lenslets(
+    rays: Rays, mla: LensletArray, before: Index, after: Index, entered: Cells | None = None
+) -> Cells:  # fmt: skip
+    """Refract the rays at the face of the lenslet in the cell where they meet it, and return these cells.
 
     Rays without a settled cell, which cross the wall between unlike lenslets, are dropped.
     """
+    kind = rays.p.dtype.type
+    if isinstance(before, GradientIndex) and entered is not None:
+        cell = entered
+        _along_curves(rays, mla, before, cell, partial(_lenslet_height, mla, cell))
+        apex, c = _apexes(mla, cell, kind)
+        q = np.column_stack([rays.p[:, :2] - apex, rays.p[:, 2]])
+    else:
+        cell, q = _met_lenslets(rays, mla)
+        c = _apexes(mla, cell, kind)[1]
+    normal = np.column_stack([-c[:, None] * q[:, :2], 1 - c * q[:, 2]])
+    if not mla.spherical:
+        normal = np.column_stack([-_profile(mla, np.maximum(cell, 0), c, q)[1], np.ones_like(c)])
+    normal = normal * np.sign(rays.d[:, 2:])
+    n_i, n_t = (_index_near(index, mla, cell, rays.p) for index in (before, after))
+    _into(mla.order, rays, q[:, :2], normal, n_i, n_t)
+    return cell
+
+
+def _met_lenslets(rays: Rays, mla: LensletArray) -> tuple[Cells, Array]:
+    """Move straight rays to the faces that they meet; return the cells, and the points from their apexes."""
     kind = rays.p.dtype.type
     to_apexes = -rays.p[:, 2] / rays.d[:, 2]
     at = rays.p + to_apexes[:, None] * rays.d
     cell = _nearest_cell(mla, at)
     settled = np.zeros(len(cell), np.bool_)
     for _ in range(CELL_STEPS):
-        flat = np.maximum(cell, 0)
-        apex = mla.apex.reshape(-1, 2)[flat].astype(kind)
-        c = mla.curvature.reshape(-1)[flat].astype(kind)
+        apex, c = _apexes(mla, cell, kind)
         p = np.column_stack([rays.p[:, :2] - apex, rays.p[:, 2]])
         if mla.spherical:
             t = conic_transfer(p, rays.d * np.sign(rays.d[:, 2:]), c, kind(0)) * np.sign(rays.d[:, 2])
         else:
-            t = _profile_transfer(p, rays.d, mla, flat, c)
+            t = _profile_transfer(p, rays.d, mla, np.maximum(cell, 0), c)
         q = p + t[:, None] * rays.d
         hit = np.column_stack([q[:, :2] + apex, q[:, 2]])
         there = _nearest_cell(mla, hit)
@@ -220,14 +275,67 @@ def _through_lenslets(rays: Rays, mla: LensletArray, before: float, after: float
         cell = there
     rays.alive &= settled
     rays.p = hit
-    normal = np.column_stack([-c[:, None] * q[:, :2], 1 - c * q[:, 2]])
-    if not mla.spherical:
-        normal = np.column_stack([-_profile(mla, flat, c, q)[1], np.ones_like(c)])
-    normal = normal * np.sign(rays.d[:, 2:])
-    _into(mla.order, rays, q[:, :2], normal, before, after)
+    return cell, q
 
 
-def _into(order: DiffractionOrder | None, rays: Rays, at: Array, normal: Array, before: float, after: float) -> None:
+def _apexes(mla: LensletArray, cell: Cells, kind: type) -> tuple[Array, Array]:
+    """Return the apexes (n, 2) and the curvatures (n,) of the lenslets in cells."""
+    flat = np.maximum(cell, 0)
+    return mla.apex.reshape(-1, 2)[flat].astype(kind), mla.curvature.reshape(-1)[flat].astype(kind)
+
+
+def _flat_height(thickness: Any) -> Height:
+    def height(p: Array) -> tuple[Array, Array]:
+        return p[:, 2] - thickness, np.broadcast_to(np.array([0, 0, 1], p.dtype), p.shape)
+
+    return height
+
+
+def _lenslet_height(mla: LensletArray, cell: Cells, p: Array) -> tuple[Array, Array]:
+    """Return z minus the sag of the lenslets in cells, and its gradient."""
+    apex, c = _apexes(mla, cell, p.dtype.type)
+    q = np.column_stack([p[:, :2] - apex, p[:, 2]])
+    sag, slopes = _profile(mla, np.maximum(cell, 0), c, q)
+    return p[:, 2] - sag, np.column_stack([-slopes, np.ones_like(sag)])
+
+
+def _from_lens(mla: LensletArray, cell: Cells, p: Array) -> Array:
+    """Return points in the frame of their lenslets: its z runs from the face towards the lens into the glass."""
+    kind = p.dtype.type
+    centre = mla.centre.reshape(-1, 2)[np.maximum(cell, 0)].astype(kind)
+    z = p[:, 2] if mla.curved_to_lens else kind(mla.thickness) - p[:, 2]
+    return np.column_stack([p[:, :2] - centre, z])
+
+
+def _index_near(index: Index, mla: LensletArray, cell: Cells, p: Array) -> float | Array:
+    """Return the index of a medium, or the indices at points in cells."""
+    return index.at(_from_lens(mla, cell, p)) if isinstance(index, GradientIndex) else index
+
+
+def _along_curves(rays: Rays, mla: LensletArray, index: GradientIndex, cell: Cells, height: Height) -> None:
+    """Move rays through the glass of their cells to its other face; those that reach a wall are absorbed."""
+    kind = rays.p.dtype.type
+    centre = mla.centre.reshape(-1, 2)[np.maximum(cell, 0)].astype(kind)
+    mirror = np.array([1, 1, 1 if mla.curved_to_lens else -1], kind)
+
+    def out(q: Array) -> Array:
+        z = q[:, 2] if mla.curved_to_lens else kind(mla.thickness) - q[:, 2]
+        return np.column_stack([q[:, :2] + centre, z])
+
+    def own_height(q: Array) -> tuple[Array, Array]:
+        above, normal = height(out(q))
+        return mirror[2] * above, mirror[2] * mirror * normal
+
+    start = np.where(rays.alive[:, None], _from_lens(mla, cell, rays.p), kind(np.nan))
+    met, d, points = index.follow(start, rays.d * mirror, own_height, WALL_SAMPLES)
+    for at in points:
+        rays.alive &= _nearest_cell(mla, out(at)) == cell
+    rays.p, rays.d = out(met), d * mirror
+
+
+def _into(
+    order: DiffractionOrder | None, rays: Rays, at: Array, normal: Array, before: float | Array, after: float | Array
+) -> None:  # fmt: skip
     """Refract the rays, and turn them by the phase of the face at points (n, 2) from its own centre."""
     if order is None:
         refract(rays, normal, before, after)

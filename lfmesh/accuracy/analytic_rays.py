@@ -79,7 +79,9 @@ def conic_transfer(p: Array, d: Array, c: Any, k: Any) -> Array:
     return to_plane + f / (g + np.sqrt(g * g - c * f * (1 + k * d[:, 2] ** 2)))
 
 
-def refract(rays: Rays, normal: Array, before: float, after: float, change: Array | None = None) -> None:
+def refract(
+    rays: Rays, normal: Array, before: float | Array, after: float | Array, change: Array | None = None
+) -> None:  # fmt: skip
     """Refract the rays by Snell's law, n' d' − n d parallel to the normal, and weight them by Fresnel's transmittance.
 
     A phase of the face adds its gradient to n d along the face (W. T. Welford, Optics Communications 14, 1975, 322).
@@ -90,21 +92,21 @@ def refract(rays: Rays, normal: Array, before: float, after: float, change: Arra
     rays : Rays
     normal : (n, 3) float
         Along the rays, of any length.
-    before, after : float
+    before, after : float or (n,) float
         Refractive indices.
     change : (n, 3) float, optional
         Change of n d by a phase, before its projection on the face.
     """
     kind = rays.d.dtype.type
-    n_i, n_t = kind(before), kind(after)
+    n_i, n_t = (np.broadcast_to(np.asarray(n, kind), len(rays.d)) for n in (before, after))
     normal = normal / np.sqrt((normal * normal).sum(axis=1))[:, None]
     a_i = n_i * (rays.d * normal).sum(axis=1)
     square = n_t * n_t - n_i * n_i + a_i * a_i
     rays.alive &= (a_i > 0) & (square > 0)
     a_t = np.sqrt(square)
-    bent = n_i * rays.d + (a_t - a_i)[:, None] * normal
+    bent = n_i[:, None] * rays.d + (a_t - a_i)[:, None] * normal
     if change is not None:
-        across = n_i * rays.d + change - (a_i + (change * normal).sum(axis=1))[:, None] * normal
+        across = n_i[:, None] * rays.d + change - (a_i + (change * normal).sum(axis=1))[:, None] * normal
         square = n_t * n_t - (across * across).sum(axis=1)
         rays.alive &= square > 0
         bent = across + np.sqrt(square)[:, None] * normal

@@ -279,9 +279,9 @@ def _lenslet_triangles(scene: Scene) -> int:
 
 
 def levels_of(scene: Scene) -> tuple[str, ...]:
-    """Return the levels of `surface` that a scene can be traced at: a phase needs exact surfaces."""
-    has_phases = any(True for _ in scene.phases())
-    return tuple(level for level in LEVELS if level == "exact" or not has_phases)
+    """Return the levels of `surface` that a scene can be traced at: phases and gradients need exact surfaces."""
+    needs_exact = any(True for _ in (*scene.phases(), *scene.gradients()))
+    return tuple(level for level in LEVELS if level == "exact" or not needs_exact)
 
 
 def order_of(rows: Sequence[LensRow]) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
+from lfmesh.accuracy.analytic_gradients import index_behind
 from lfmesh.accuracy.analytic_phases import only_order
 from lfmesh.accuracy.hard.truth import Array, Bundle, Interface, at_plane, through
 from lfmesh.optics.glass import refractive_index
@@ -118,11 +119,12 @@ def sensor_z(scene: Scene) -> float:
 def faces_of(scene: Scene) -> list[Interface]:
     """Return the lens in the format of the truth, without pure stops."""
     lens = scene.camera.lens
+    nm, media = scene.primary_nm, lens.media
     return [
         Interface(
-            s.vertex_radius_mm, z, s.index or 1.0, s.vertex_conic, s.terms_mm, 1.01 * (s.semi_diameter_mm or 10.0),
-            s.focal_length_mm or np.inf, s.odd_asphere_mm, _across(s),
-            only_order(s.phase, scene.primary_nm, lens.media[k], lens.media[k + 1], f"camera.lens.surfaces[{k}].phase"),
+            s.vertex_radius_mm, z, index_behind(media[k + 1], nm, z), s.vertex_conic, s.terms_mm,
+            1.01 * (s.semi_diameter_mm or 10.0), s.focal_length_mm or np.inf, s.odd_asphere_mm, _across(s),
+            only_order(s.phase, nm, media[k], media[k + 1], f"camera.lens.surfaces[{k}].phase"),
         )
         for k, (s, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True))
         if not lens.is_pure_stop(k)

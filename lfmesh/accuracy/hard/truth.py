@@ -2,6 +2,7 @@
 
 It shares no code with the engine: no mesh, no Embree, no kernels. Surfaces come in a known order. Rays meet a conic by
 Welford's quadratic (Aberrations of Optical Systems, 1986, section 4.5), and other surfaces by marching and bisection.
+Curved rays in gradient-index glass are those of `analytic_gradients`.
 """
 
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfmesh.accuracy.analytic_gradients import GradientIndex, Index, index_at
 from lfmesh.accuracy.analytic_phases import DiffractionOrder
 
 Array = NDArray[np.float64]
@@ -34,7 +36,7 @@ class Interface:
 
     radius: float
     z: float
-    index: float = 1.0
+    index: Index = 1.0
     conic: float = 0.0
     asphere: tuple[float, ...] = ()
     reach: float = 10.0
@@ -95,6 +97,12 @@ class Interface:
             g = g + sum(2.0 * (j + 2) * a * r2 ** (j + 1) for j, a in enumerate(self.asphere))
             n = np.stack([-g * x, -g * y, np.ones_like(x)], axis=1)
         return n / np.linalg.norm(n, axis=1, keepdims=True)
+
+    def above(self, p: Array) -> tuple[Array, Array]:
+        """Return the heights of points (n, 3) above the surface, (n,), and their gradient (n, 3), camera frame."""
+        at = np.column_stack([p[:, :2], self.height(p[:, 0], p[:, 1])])
+        normal = self.normal(at)
+        return p[:, 2] - self.z - at[:, 2], normal / normal[:, 2:]
 
     def meet(self, p: Array, d: Array) -> Array:
         """Return the intersections (n, 3) of rays with the vertex's sheet, relative to the vertex; NaN if none."""
@@ -186,12 +194,12 @@ class Bundle:
     """(n, surfaces) distance from the axis at each surface."""
 
 
-def transmittance(n_i: float, n_t: float, cos_i: Array, cos_t: Array) -> Array:
+def transmittance(n_i: float | Array, n_t: float | Array, cos_i: Array, cos_t: Array) -> Array:
     """Return the transmitted fraction of unpolarised light (Born and Wolf, 1.5.2).
 
     Parameters
     ----------
-    n_i, n_t : float
+    n_i, n_t : float or (n,) float64
         Refractive indices in front and behind.
     cos_i, cos_t : (n,) float64
         Cosines of incidence and refraction.
@@ -201,14 +209,16 @@ def transmittance(n_i: float, n_t: float, cos_i: Array, cos_t: Array) -> Array:
     return np.asarray(0.5 * n_t * cos_t / (n_i * cos_i) * (s * s + p * p))
 
 
-def refracted(d: Array, normal: Array, n_i: float, n_t: float, change: Array | None = None) -> tuple[Array, Array]:
+def refracted(
+    d: Array, normal: Array, n_i: float | Array, n_t: float | Array, change: Array | None = None
+) -> tuple[Array, Array]:  # fmt: skip
     """Return the directions (n, 3) by Snell's law and the transmittances (n,); NaN for total reflection.
 
     Parameters
     ----------
     d : (n, 3) float64, unit
     normal : (n, 3) float64, unit, of either sense
-    n_i, n_t : float
+    n_i, n_t : float or (n,) float64
         Refractive indices in front and behind.
     change : (n, 3) float64, optional
         Change of n d by a phase, before its projection on the surface. Directions are NaN for evanescent light.
@@ -216,14 +226,14 @@ def refracted(d: Array, normal: Array, n_i: float, n_t: float, change: Array | N
     cos_i = np.einsum("ij,ij->i", d, normal)
     normal = normal * np.sign(cos_i)[:, None]
     cos_i = np.abs(cos_i)
-    tangential = (d - cos_i[:, None] * normal) * (n_i / n_t)
+    tangential = (d - cos_i[:, None] * normal) * np.asarray(n_i / n_t)[..., None]
     with np.errstate(invalid="ignore"):
         cos_t = np.sqrt(1.0 - np.einsum("ij,ij->i", tangential, tangential))
-    share = transmittance(n_i, n_t, cos_i, cos_t) if n_i != n_t else np.ones_like(cos_i)
+    share = transmittance(n_i, n_t, cos_i, cos_t) if np.any(n_i != n_t) else np.ones_like(cos_i)
     if change is not None:
         along = change - np.einsum("ij,ij->i", change, normal)[:, None] * normal
         # Light that the face reflects totally has no transmitted orders.
-        tangential = np.where(np.isfinite(cos_t)[:, None], tangential + along / n_t, np.nan)
+        tangential = np.where(np.isfinite(cos_t)[:, None], tangential + along / np.asarray(n_t)[..., None], np.nan)
         with np.errstate(invalid="ignore"):
             cos_t = np.sqrt(1.0 - np.einsum("ij,ij->i", tangential, tangential))
     return tangential + cos_t[:, None] * normal, share
@@ -246,19 +256,24 @@ def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLi
     d = d / np.linalg.norm(d, axis=1, keepdims=True)
     weight = np.ones(len(p))
     heights = []
-    n_i = first_index
+    index: Index = first_index
     for face in interfaces:
-        at = face.meet(p, d)
+        if isinstance(index, GradientIndex):
+            met, d, _ = index.follow(p, d, face.above)
+            at = met - [0.0, 0.0, face.z]
+        else:
+            at = face.meet(p, d)
+        p = np.add(at, [0.0, 0.0, face.z])
+        n_i, n_t = index_at(index, p), index_at(face.index, p)
         change = None if face.order is None else np.asarray(face.order.change(at), np.float64)
-        d, share = refracted(d, face.normal(at), n_i, face.index, change)
+        d, share = refracted(d, face.normal(at), n_i, n_t, change)
         if face.order is not None:
             share = share * face.order.share
         if np.isfinite(face.focal_length):
             d = _past_thin_lens(at, d, face.focal_length)
-        p = np.add(at, [0.0, 0.0, face.z])
         weight = weight * share
         heights.append(np.hypot(at[:, 0], at[:, 1]))
-        n_i = face.index
+        index = face.index
     return Bundle(p, d, weight, np.stack(heights, axis=1) if heights else np.zeros((len(p), 0)))
 
 

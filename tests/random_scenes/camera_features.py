@@ -1,6 +1,7 @@
 """What drawn cameras may have: lens, array, sensor and transport settings, one function a feature."""
 
 import math
+from itertools import pairwise
 
 from tests.random_scenes.draft import Dice, Draft, Tables, feature, rounded
 
@@ -427,4 +428,85 @@ def phase_on_the_array(draft: Draft, dice: Dice) -> bool | None:
         return None
     weak = power * dice.both_signs(0.05, 0.25)
     mla[face] = with_light(phase_of(dice, 0.5 * mla["pitch_mm"], weak), dice, dice.one_of(0, 3))
+    return None
+
+
+# Gradients, after all that they do not go with
+
+
+STEEPEST_GRADIENT = 0.08
+"""Largest change of a drawn index within the glass."""
+
+
+def takes_gradient(draft: Draft, face: Tables, coating: str = "coating", finish: str = "finish") -> bool:
+    """Tell whether a face may touch gradient-index glass: polished, without a phase, bare or of one reflectance."""
+    layered = {name for name, each in draft.tables.get("coatings", {}).items() if "layers" in each}
+    return finish not in face and "phase" not in face and face.get(coating) not in layered
+
+
+@feature(cameras=0.1, scenes=0.08, own_kernels=True)
+def gradient_in_the_lens(draft: Draft, dice: Dice) -> bool | None:
+    """A gradient in place of a glass, of up to a fifth of the lens's power."""
+    if draft.transport.get("polarisation"):
+        return False
+    gaps = [
+        front
+        for front, back in pairwise(draft.surfaces)
+        if {"index", "glass"} & front.keys()
+        and all("radius_mm" in face and takes_gradient(draft, face) for face in (front, back))
+    ]
+    if not gaps or (draft.camera.get("absorption") and len(gaps) < 2):
+        return False
+    front = dice.one_of(*gaps)
+    front.pop("glass", None)
+    index = front.pop("index", None) or dice.between(1.5, 1.8)
+    radius, length, kind = draft.semi_mm, front["thickness_mm"], dice.one_of(*GRADIENT_KINDS)
+    across = weak(dice.both_signs(0.02, 0.2) / draft.focal_mm / (2.0 * length), radius)
+    along, aberration = dice.both_signs(0.01, STEEPEST_GRADIENT) / length, across * dice.between(-0.2, 0.2) / radius**2
+    gradient: Tables = {"kind": kind, "index": index}
+    if kind in ("radial_n2", "radial_n"):
+        gradient["coefficients"] = [rounded(across), rounded(aberration)]
+    elif kind == "xyz":
+        gradient["x_coefficients"] = [0.0, rounded(across * dice.between(0.5, 1.0))]
+        gradient["y_coefficients"] = [0.0, rounded(across), rounded(aberration * radius)]
+    else:
+        gradient["coefficients"] = [rounded(along), rounded(along * dice.between(-0.3, 0.3) / length)]
+    if kind == "spherical":
+        gradient["radius_mm"] = rounded(dice.both_signs(3.0, 10.0) * radius)
+    front["gradient"] = gradient
+    return None
+
+
+GRADIENT_KINDS = ("radial_n2", "radial_n", "axial", "spherical", "xyz")
+
+
+def weak(coefficient: float, radius: float) -> float:
+    """Return a coefficient of r², smaller where it would change an index too much."""
+    most = STEEPEST_GRADIENT / radius**2
+    return max(-most, min(coefficient, most))
+
+
+@feature(cameras=0.08, scenes=0.04, own_kernels=True)
+def gradient_in_the_array(draft: Draft, dice: Dice) -> bool | None:
+    """A weak gradient in the plate, or rods in place of the lenslets."""
+    mla = array_of(draft)
+    if mla is None or draft.transport.get("polarisation") or "diffraction" in draft.transport:
+        return False
+    phases = {"curved_phase", "flat_phase"} & mla.keys()
+    if phases or not all(takes_gradient(draft, mla, f"{f}_coating", f"{f}_finish") for f in ("curved", "flat")):
+        return False
+    shaped = {"conic", "asphere_mm", "cylinder_axis", "back"} & mla.keys()
+    radius, corner = mla["radius_mm"], mla["pitch_mm"] / math.sqrt(2.0)
+    first = radius[0] if isinstance(radius, list) else radius
+    index = mla.pop("index")
+    coefficient = -(index - 1.0) / first / (index * mla["thickness_mm"])
+    if dice.chance(0.5) and not shaped and not isinstance(radius, list) and abs(coefficient) * corner**2 < 0.4:
+        del mla["radius_mm"]
+        if "form" in mla:
+            del mla["form"]["radius_error"]
+    else:
+        coefficient = weak(coefficient * dice.both_signs(0.05, 0.25), corner)
+    mla["gradient"] = {"kind": "radial_n2", "index": index, "coefficients": [rounded(coefficient)]}
+    if dice.chance(0.4):
+        mla["walls"] = "clear"
     return None

@@ -178,10 +178,15 @@ def tells_of(line: str, difference: Difference) -> bool:
 def ways(scene: lf.Scene) -> list[Estimate]:
     """Return the estimates of a scene that share as little as possible: the default, meshes alone, and forward.
 
+    Meshes alone find no faces of gradient-index glass.
+
     Parameters
     ----------
     scene : Scene
     """
+    if any(True for _ in scene.gradients()):
+        forward = scene.changed({"transport.method": "forward"})
+        return [Estimate("default", (scene,)), Estimate("forward", (forward,), 1.0, 4)]
     by_meshes = scene.changed({"transport.engine": "mesh"})
     forward = by_meshes.changed({"transport.method": "forward"})
     return [

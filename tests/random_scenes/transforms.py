@@ -105,7 +105,21 @@ PHASES = ("coefficients_rad",)
 """Coefficients of phases, in rad, alone or after two powers."""
 
 
+LOWEST_OF_GRADIENTS = {"radial_n2": 2, "radial_n": 2, "axial": 1, "spherical": 1}
+"""Powers of the length in the first coefficient of a gradient, by its kind; the others have its multiples."""
+
+
+def _scaled_gradient(gradient: Tables, k: float) -> Tables:
+    scaled = _scaled({key: value for key, value in gradient.items() if not key.endswith("coefficients")}, k)
+    for key in gradient.keys() - scaled.keys():
+        step = LOWEST_OF_GRADIENTS[gradient["kind"]] if key == "coefficients" else 1
+        scaled[key] = [c * k ** (-step * i) for i, c in enumerate(gradient[key], 1)]
+    return scaled
+
+
 def _scaled_value(key: str, value: Any, k: float) -> Any:
+    if key == "gradient":
+        return _scaled_gradient(value, k)
     if isinstance(value, dict):
         return _scaled(value, k)
     if key in PHASES and isinstance(value, list):

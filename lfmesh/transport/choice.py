@@ -6,7 +6,6 @@ with nearly all light, and the mesh engine adds the other paths.
 
 from lfmesh.errors import SceneError
 from lfmesh.scene import Scene
-from lfmesh.transport.tables.gradient_spaces import refuse_untraceable_gradients
 from lfmesh.transport.tables.interfaces import refused_in_order
 from lfmesh.transport.tables.phase_faces import refuse_diffracting_phases
 
@@ -17,12 +16,10 @@ def engine_of(scene: Scene) -> tuple[str, str]:
     Raises
     ------
     SceneError
-        The scene asks for the sequential engine, which cannot trace it, for diffraction at lenslets with a phase, or
-        for meshes, facets or polarised light in gradient-index glass.
+        The scene asks for the sequential engine, which cannot trace it, or for diffraction at lenslets with a phase.
     """
     transport = scene.transport
     refuse_diffracting_phases(scene)
-    refuse_untraceable_gradients(scene)
     obstacle = obstacle_of(scene, transport.surface, transport.max_events)
     if transport.diffraction == "stop" and obstacle is not None:
         raise SceneError(f'transport.diffraction = "stop" needs sequential tracing of exact surfaces: {obstacle}')

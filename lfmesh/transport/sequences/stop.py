@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.frame import point_through
 from lfmesh.geometry.surfaces.surface import normal_at
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.vector import select
-from lfmesh.transport.events.gradient import index_at
 from lfmesh.transport.events.interface import is_thin_lens
 from lfmesh.transport.events.kick import turned_along
 from lfmesh.transport.packets.book import EVANESCENT, STOP
@@ -131,6 +129,7 @@ def turn_behind_stop(aperture: Any, bundle: Array, lens: LensTables, k: int, col
         return
     if surface.posed:
         move_bundle(bundle, surface.unpose)
+    index = lens.media.indices[lens.medium[k + 1 if sense > 0.0 else k], colour]
     thin = is_thin_lens(lens.interfaces, k)
     for i in range(BLOCK):
         if bundle[ENDED_ON + i] != 0.0:
@@ -144,11 +143,7 @@ def turn_behind_stop(aperture: Any, bundle: Array, lens: LensTables, k: int, col
             bundle[DX + i], bundle[DY + i], bundle[DZ + i] = ux * scale, uy * scale, bundle[DZ + i] * scale
             bundle[ETENDUE + i] *= scale2 * scale2
         else:
-            x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
-            nx, ny, nz = normal_at(surface, x, y, z - surface.vertex_z)
-            if surface.posed:
-                x, y, z = point_through(surface.pose, x, y, z)
-            index = index_at(lens, k + 1 if sense > 0.0 else k, colour, x, y, z)
+            nx, ny, nz = normal_at(surface, bundle[X + i], bundle[Y + i], bundle[Z + i] - surface.vertex_z)
             _turn(bundle, i, kick, index, nx, ny, nz)
     if surface.posed:
         move_bundle(bundle, surface.pose)

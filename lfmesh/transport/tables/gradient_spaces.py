@@ -23,7 +23,6 @@ from lfmesh.optics.gradient_shapes import GradientProfile
 from lfmesh.optics.gradients import Gradients, fields_at, gradient_table
 from lfmesh.scene import Scene
 from lfmesh.scene.camera.gradient import Gradient
-from lfmesh.scene.materials.coatings import UNCOATED
 
 Array = NDArray[np.float64]
 
@@ -66,10 +65,7 @@ class GradientSpaces(NamedTuple):
 
 def has_gradients(scene: Scene) -> bool:
     """Tell whether gradient-index glass stands in the lens or the array of a scene."""
-    mla = scene.camera.mla
-    return any(surface.gradient is not None for surface in scene.camera.lens.surfaces) or (
-        mla is not None and getattr(mla, "gradient", None) is not None
-    )
+    return any(True for _ in scene.gradients())
 
 
 def stop_within_gradients(scene: Scene) -> bool:
@@ -78,41 +74,6 @@ def stop_within_gradients(scene: Scene) -> bool:
     if not stop:
         return False
     return surfaces[stop].gradient is not None and surfaces[stop - 1].gradient is not None
-
-
-def refuse_untraceable_gradients(scene: Scene) -> None:
-    """Refuse settings under which rays through gradient-index glass cannot be traced.
-
-    Raises
-    ------
-    SceneError
-    """
-    if not has_gradients(scene):
-        return
-    transport = scene.transport
-    if transport.engine == "mesh":
-        raise SceneError(
-            'transport.engine = "mesh": a mesh finds faces along straight lines, and rays in gradient-index glass are '
-            'curved; use "auto" or "sequential"'
-        )
-    if transport.surface != "exact":
-        raise SceneError(
-            f'transport.surface = "{transport.surface}": rays through gradient-index glass end on exact surfaces; use '
-            '"exact"'
-        )
-    if transport.polarisation:
-        raise SceneError(
-            "transport.polarisation = true: the state of polarised light is not followed along the curved rays of "
-            "gradient-index glass; omit it"
-        )
-    surfaces = scene.camera.lens.surfaces
-    for i, surface in enumerate(surfaces):
-        beside = surface.gradient is not None or (i > 0 and surfaces[i - 1].gradient is not None)
-        if beside and surface.coating != UNCOATED and scene.all_coatings[surface.coating].layers is not None:
-            raise SceneError(
-                f'camera.lens.surfaces[{i}].coating = "{surface.coating}": the shares of layers would depend on the '
-                "place on a face of gradient-index glass; use a coating with a reflectance"
-            )
 
 
 def gradient_spaces(scene: Scene, shape: LensShape, wavelengths_nm: tuple[float, ...]) -> GradientSpaces | None:
@@ -132,7 +93,6 @@ def gradient_spaces(scene: Scene, shape: LensShape, wavelengths_nm: tuple[float,
     media = {space: medium for space, medium in enumerate(shape.media) if isinstance(medium, Gradient)}
     if not media:
         return None
-    refuse_untraceable_gradients(scene)
     count, colours = len(shape.media), len(wavelengths_nm)
     number, steps = np.full(count, -1, np.int64), np.zeros((count, colours), np.int64)
     longest, origin_z, edge = np.zeros((count, colours)), np.zeros(count), np.zeros((count, 4))

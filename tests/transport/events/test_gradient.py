@@ -328,29 +328,6 @@ def test_a_scene_without_gradients_has_no_table() -> None:
     assert not fills_space(lens.gradients, 1)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"engine": "mesh"}, r'transport\.engine = "mesh".*curved'),
-        ({"surface": "flat"}, r'transport\.surface = "flat".*exact'),
-        ({"polarisation": True}, r"transport\.polarisation = true"),
-    ],
-)
-def test_straight_tracing_is_refused(change: dict[str, Any], words: str) -> None:
-    scene = camera(rod(), transport=change)
-    for refuses in (engine_of, lf.build):
-        with pytest.raises(SceneError, match=words):
-            refuses(scene)
-
-
-def test_layers_on_a_face_of_gradient_glass_are_refused() -> None:
-    first, last = rod()
-    layers = {"hard": {"layers": [{"index": 1.38, "thickness_nm": 106.5}]}}
-    for surfaces in ([first | {"coating": "hard"}, last], [first, last | {"coating": "hard"}]):
-        with pytest.raises(SceneError, match=r'camera\.lens\.surfaces\[[01]\]\.coating = "hard"'):
-            lf.build(camera(surfaces, coatings=layers))
-
-
 def test_a_trace_refuses_facets() -> None:
     with pytest.raises(lf.LfmeshError, match="gradient-index glass end on exact surfaces"):
         lf.trace(built(rod()), [[0, 0, -9]], [[0, 0, 1]], surface="flat")

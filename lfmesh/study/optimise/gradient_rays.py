@@ -5,6 +5,7 @@ those after a given length in σ, see `lfmesh.optics.gradient_path`. Derivatives
 along each variable, all of whose effects before the glass and in it are taken together.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -49,9 +50,7 @@ class GradientForm(NamedTuple):
 
     def table(self, numbers: Array) -> Gradients:
         """Return the gradients that have given numbers, (wavelengths, numbers + material)."""
-        return gradient_table(
-            [GradientProfile(*self[:3], each[: self.numbers], each[self.numbers :]) for each in numbers]
-        )
+        return gradient_table([GradientProfile(*self[:3], row[: self.numbers], row[self.numbers :]) for row in numbers])
 
 
 def gradient_form(surface: Surface, wavelength_nm: float) -> GradientForm | None:
@@ -70,7 +69,8 @@ def gradient_numbers(surface: Surface, waves_nm: tuple[float, ...]) -> Array:
     return np.array([np.concatenate([profile.numbers, profile.material]) for profile in profiles])
 
 
-class GradientGlass(NamedTuple):
+@dataclass(frozen=True)
+class GradientGlass:
     """Gradient-index glass of a camera for rays of several wavelengths, in its own frame.
 
     Attributes
@@ -88,18 +88,18 @@ class GradientGlass(NamedTuple):
 
     def index_at(self, points: Jet) -> Jet:
         """Return the index at points, (n, 3) mm, of the rays: (n,)."""
-        fields = self._fields(self.numbers.value, points.value)
+        fields = self._fields_at(self.numbers.value, points.value)
         index = np.sqrt(fields[:, 0])
         slope = 2.0 * np.einsum("nk,nkm->nm", fields[:, 1:], points.slope)
         for variable in _of_numbers(self.numbers):
             step = DIFFERENCE * self.numbers.slope[:, :, variable]
-            after, before = (self._fields(self.numbers.value + sign * step, points.value) for sign in (1.0, -1.0))
+            after, before = (self._fields_at(self.numbers.value + sign * step, points.value) for sign in (1.0, -1.0))
             slope[:, variable] += (after[:, 0] - before[:, 0]) / (2.0 * DIFFERENCE)
         return Jet(index, slope / (2.0 * index[:, None]))
 
     def kicks(self, points: Array) -> Array:
         """Return ½ ∇n² at points, (n, 3) mm⁻¹."""
-        return self._fields(self.numbers.value, points)[:, 1:]
+        return self._fields_at(self.numbers.value, points)[:, 1:]
 
     def ends(self, points: Array, momenta: Array, lengths: Array, steps: int) -> Array:
         """Return positions and optical ray vectors after given lengths in σ, (n, 6).
@@ -121,14 +121,14 @@ class GradientGlass(NamedTuple):
         points, momenta, lengths
             As for `ends`.
         """
-        steps, found = FEWEST_STEPS, self.ends(points, momenta, lengths, FEWEST_STEPS)
+        steps, ends = FEWEST_STEPS, self.ends(points, momenta, lengths, FEWEST_STEPS)
         while steps < MOST_STEPS:
             finer = self.ends(points, momenta, lengths, 2 * steps)
             scale = np.nanmax(np.abs(lengths)) if np.isfinite(lengths).any() else 0.0
-            known = np.isfinite(finer).all(axis=1) & np.isfinite(found).all(axis=1)
-            if not (np.abs(finer - found)[known].max(initial=0.0) > PRECISION * scale):
+            known = np.isfinite(finer).all(axis=1) & np.isfinite(ends).all(axis=1)
+            if not (np.abs(finer - ends)[known].max(initial=0.0) > PRECISION * scale):
                 break
-            steps, found = 2 * steps, finer
+            steps, ends = 2 * steps, finer
         return steps
 
     def carried(self, points: Jet, momenta: Jet, lengths: Array, steps: int) -> tuple[Jet, Jet]:
@@ -167,7 +167,7 @@ class GradientGlass(NamedTuple):
         _advance(self.form.table(numbers), np.ascontiguousarray(self.wave), ends, np.ascontiguousarray(lengths), steps)
         return ends
 
-    def _fields(self, numbers: Array, points: Array) -> Array:
+    def _fields_at(self, numbers: Array, points: Array) -> Array:
         fields = np.empty((len(points), 4))
         _fill_fields(self.form.table(numbers), np.ascontiguousarray(self.wave), np.ascontiguousarray(points), fields)
         return fields

@@ -177,8 +177,8 @@ class RayLayout:
             return Jet(part.value.reshape(shape), part.slope.reshape(*shape, numbers.slope.shape[-1]))
 
         surfaces, waves = [], len(self.waves_nm)
-        for each, (powers, distances), form in zip(self.powers, self.phases, self.gradients, strict=True):
-            shape = taken(), taken(), taken(), taken(3, 4), taken(len(each))
+        for terms, (powers, distances), form in zip(self.powers, self.phases, self.gradients, strict=True):
+            shape = taken(), taken(), taken(), taken(3, 4), taken(len(terms))
             phase, count = (taken(powers), taken(distances, 2)), form.numbers + form.material if form else 0
             surfaces.append(SurfaceNumbers(*shape, *phase, taken(waves, count)))
         indices = taken(waves, len(self.powers) + 1)

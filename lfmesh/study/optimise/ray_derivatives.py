@@ -196,7 +196,7 @@ def _through_gradient(
     p, d = _frame_into(front.pose, *rays)
     points, directions = _stacked(p), _stacked(d)
     momenta = directions * _as_column(glass.index_at(points))
-    plain = [SurfaceNumbers(*(constant(each.value, 0) for each in one)) for one in (front, surface)]
+    plain = [SurfaceNumbers(*(constant(number.value, 0) for number in numbers)) for numbers in (front, surface)]
     lengths, steps = _gradient_lengths(glass, plain, layout.powers[number], points.value, momenta.value)
     ends, ahead = glass.carried(points, momenta, lengths, steps)
     at, along = _frame_into(surface.pose, *_out_of(front.pose, _parted(ends), _parted(ahead)))
@@ -206,7 +206,7 @@ def _through_gradient(
     change = -excess / _value(fall)
     at, along = _moved(at, along, change), _moved(along, turn, change)
     index = _as_jet(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]).root()
-    return at, tuple(each / index for each in along), index  # type: ignore[return-value]
+    return at, tuple(component / index for component in along), index  # type: ignore[return-value]
 
 
 def _gradient_lengths(
@@ -230,7 +230,7 @@ def _gradient_lengths(
     steps = glass.steps_for(points, momenta, lengths)
     for _ in range(STEPS):
         ends = glass.ends(points, momenta, lengths, steps)
-        p, along = (_parted(constant(each, 0)) for each in (ends[:, :3], ends[:, 3:]))
+        p, along = (_parted(constant(half, 0)) for half in (ends[:, :3], ends[:, 3:]))
         excess, fall = _excess(surface, powers, *_frame_into(surface.pose, *_out_of(front.pose, p, along)))
         step = _value(excess) / _value(fall)
         lengths = lengths - step
@@ -241,8 +241,8 @@ def _gradient_lengths(
 
 def _stacked(vector: Vector) -> Jet:
     """Return the components of vectors as one jet, (n, 3)."""
-    parts = [_as_jet(each) for each in vector]
-    return Jet(np.stack([each.value for each in parts], axis=1), np.stack([each.slope for each in parts], axis=1))
+    parts = [_as_jet(part) for part in vector]
+    return Jet(np.stack([part.value for part in parts], axis=1), np.stack([part.slope for part in parts], axis=1))
 
 
 def _parted(vectors: Jet) -> Vector:

@@ -212,7 +212,7 @@ class Aim:
             return rays
         offsets = np.cumsum([0, *(len(ray.points) for ray in rays)])
         position, face, event = (
-            np.concatenate(each) for each in zip(*((ray.points, ray.face, ray.event) for ray in rays), strict=True)
+            np.concatenate(column) for column in zip(*((ray.points, ray.face, ray.event) for ray in rays), strict=True)
         )
         cell = np.full(len(face), -1)
         if self.world.tables.mla.gradient is not None:

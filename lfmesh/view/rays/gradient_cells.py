@@ -67,10 +67,10 @@ def indices_and_normals(tables: Tables, face: int, cells: Ints, points: Floats) 
         Lenslets, row by row.
     points : (n, 3) float64, mm
     """
-    mla, found = face_tables(tables, face), np.empty((len(points), 4))
+    mla, values = face_tables(tables, face), np.empty((len(points), 4))
     own = frames.points(tables.frames[CAMERA_FRAME, mla.frame], points)
-    _fill_face(mla.gradient, mla, cells, own, found)
-    return found[:, 0], frames.directions(tables.frames[mla.frame, CAMERA_FRAME], found[:, 1:])
+    _fill_face(mla.gradient, mla, cells, own, values)
+    return values[:, 0], frames.directions(tables.frames[mla.frame, CAMERA_FRAME], values[:, 1:])
 
 
 def indices_in_cells(tables: Tables, cells: Ints, points: Floats) -> Floats:
@@ -81,9 +81,9 @@ def indices_in_cells(tables: Tables, cells: Ints, points: Floats) -> Floats:
     tables, cells, points
         As for `indices_and_normals`, with points anywhere in the cells.
     """
-    mla, found = tables.mla, np.empty((len(points), 4))
-    _fill_face(mla.gradient, mla, cells, frames.points(tables.frames[CAMERA_FRAME, mla.frame], points), found)
-    return found[:, 0]
+    mla, values = tables.mla, np.empty((len(points), 4))
+    _fill_face(mla.gradient, mla, cells, frames.points(tables.frames[CAMERA_FRAME, mla.frame], points), values)
+    return values[:, 0]
 
 
 def arriving_in_cells(tables: Tables, face: int, cells: Ints, points: Floats, leaving: Floats) -> Floats:
@@ -121,15 +121,15 @@ def cell_curves(
 
 
 @kernel
-def _fill_face(gradient: CellGradients, mla: MlaTables, cells: Ints, points: Floats, found: Floats) -> None:
+def _fill_face(gradient: CellGradients, mla: MlaTables, cells: Ints, points: Floats, values: Floats) -> None:
     """Find the index and the normal at points on a face, in its frame."""
     columns = mla.lenslets.lattice.columns
     for i in range(len(points)):
         row, column = cells[i] // columns, cells[i] % columns
         point = (points[i, 0], points[i, 1], points[i, 2])
-        found[i, 0] = index_in_cell(gradient, mla, 0, column, row, point)
+        values[i, 0] = index_in_cell(gradient, mla, 0, column, row, point)
         nx, ny, nz = normal_in_cell(mla.lenslets, column, row, point)
-        found[i, 1], found[i, 2], found[i, 3] = nx, ny, nz
+        values[i, 1], values[i, 2], values[i, 3] = nx, ny, nz
 
 
 @kernel

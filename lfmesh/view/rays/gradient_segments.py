@@ -99,7 +99,7 @@ class GradientSegments(NamedTuple):
 
     def of(self, numbers: Ints) -> "GradientSegments":
         """Return some of the segments."""
-        return GradientSegments(self.space_behind, *(each[numbers] for each in self[1:]))
+        return GradientSegments(self.space_behind, *(column[numbers] for column in self[1:]))
 
 
 def gradient_segments(world: World, vertices: Vertices) -> GradientSegments:
@@ -204,7 +204,7 @@ def _sides(
     """
     face, space = where
     if space >= 0:
-        outside, inside = (indices_in(tables.lens, each, at) for each in (2 * face + 1 - space, space))
+        outside, inside = (indices_in(tables.lens, side, at) for side in (2 * face + 1 - space, space))
         return outside, inside, _normals(world.lens_shape.surfaces[face], at)
     inside, normals_ = indices_and_normals(tables, face, cell, at)
     return np.full(len(at), float(tables.mla.gradient.outside[0])), inside, normals_
@@ -255,7 +255,7 @@ def curves_of(world: World, vertices: Vertices, segments: GradientSegments) -> C
     curves: Curves = {}
     keys = list(zip(segments.wavelength_nm.tolist(), segments.space.tolist(), segments.face.tolist(), strict=True))
     for key in dict.fromkeys(keys):
-        group = np.array([number for number, each in enumerate(keys) if each == key])
+        group = np.array([number for number, other in enumerate(keys) if other == key])
         wavelength_nm = key[0]
         first = segments.vertex[group]
         start, end = vertices.position[first], vertices.position[first + 1]

@@ -208,17 +208,17 @@ def _index(rays: Rays, vertex: int, medium: Medium, wavelength_nm: float, *, bey
     if not isinstance(medium, Gradient):
         return refractive_index(medium, wavelength_nm)
     tables, name = at_wavelength(rays.world, wavelength_nm), rays.surfaces[rays.surface[vertex]]
-    place = frames.points(tables.frames[WORLD_FRAME, CAMERA_FRAME], rays.position[vertex][None])
+    point = frames.points(tables.frames[WORLD_FRAME, CAMERA_FRAME], rays.position[vertex][None])
     space = int(rays.gradients.space_behind[vertex - 1])
     on_face = name in (CURVED, BACK)
     if on_face or space == IN_ARRAY:
         arriving = frames.directions(tables.frames[WORLD_FRAME, CAMERA_FRAME], [_arriving(rays, vertex)])
         # A wall belongs to the cell that a path comes from.
-        cell = rays.lenslet[vertex : vertex + 1] if on_face else cells_at(tables, place - NEAR_WALL_MM * arriving)
-        return float(indices_in_cells(tables, cell, place)[0])
+        cell = rays.lenslet[vertex : vertex + 1] if on_face else cells_at(tables, point - NEAR_WALL_MM * arriving)
+        return float(indices_in_cells(tables, cell, point)[0])
     if beyond:
         space = 2 * (int(rays.surface[vertex]) - 1) + 1 - space
-    return float(indices_in(tables.lens, space, place)[0])
+    return float(indices_in(tables.lens, space, point)[0])
 
 
 def _arriving(rays: Rays, vertex: int) -> Vector | None:

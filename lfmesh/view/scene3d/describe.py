@@ -158,7 +158,7 @@ def _glass(world: World, medium: Medium, thickness_mm: float, radius_mm: float |
         f"{radius:.4g} mm from the axis in y": (0.0, radius, 0.0),
     }
     squares = fields_at(gradient_table([medium.profile(wavelength)]), 0, list(points.values()))[:, 0]
-    indices = [f"{math.sqrt(max(square, 0.0)):.6g}, {place}" for square, place in zip(squares, points, strict=True)]
+    indices = [f"{math.sqrt(max(square, 0.0)):.6g}, {where}" for square, where in zip(squares, points, strict=True)]
     return [("gradient-index glass", medium.in_words()), (f"index at {wavelength:g} nm", "; ".join(indices))]
 
 

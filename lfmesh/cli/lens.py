@@ -54,6 +54,13 @@ def convert(
         int | None, Parameter(help="Number of the configuration in a .zmx or .seq file, from 1.")
     ] = None,
     coatings: Annotated[Path | None, Parameter(help="Coating file of a .zmx file, if none lies beside it.")] = None,
+    gradients: Annotated[
+        list[Path] | None,
+        Parameter(
+            help="File of gradient-index materials of a .zmx file (SGRIN.DAT, GRADIENT_9.DAT, PROFILE.GRD), if none "
+            "lies beside it; may be repeated."
+        ),
+    ] = None,
     every_line: Annotated[bool, Parameter(name="--lines", help="Report how every line was read.")] = False,
 ) -> int:
     """Convert a lens file of another program, and report how its lines were read."""
@@ -63,7 +70,8 @@ def convert(
     if configuration is not None and configuration < 1:
         raise LfmeshError(f"--configuration {configuration}: must be 1 or more")
     coating_file = None if coatings is None else str(coatings)
-    lens, report = read_lens_file(source, FileChoices(_glasses(glass or []), configuration, coating_file))
+    choices = FileChoices(_glasses(glass or []), configuration, coating_file, tuple(map(str, gradients or [])))
+    lens, report = read_lens_file(source, choices)
     notes = write_lens_file(lens, target, report.conditions)
     for line in (*report.text(every_line), *notes):
         print(wrapped(line))

@@ -88,9 +88,13 @@ def apertures_mm(
     unit = prescription.unit_mm
     given = [surface.aperture or surface.extent for surface in made.kept]
     needed = _needed_mm(prescription, made, paraxial, stop_mm)
-    if any(surface.section or surface.phase for surface in made.kept):
-        curvatures = tuple((s.curvature_x if s.section else s.vertex_curvature) / unit for s in made.kept)
-        in_x = replace(paraxial, curvatures=curvatures, thin_powers=tuple(power for _, power in made.thin_powers))
+    if any(surface.section or surface.phase or surface.gradient for surface in made.kept):
+        in_x = replace(
+            paraxial,
+            curvatures=tuple((s.curvature_x if s.section else s.vertex_curvature) / unit for s in made.kept),
+            thin_powers=tuple(power for _, power in made.thin_powers),
+            gradients=made.gradient_gaps(prescription.primary_nm, section_x=True),
+        )
         across = _needed_mm(prescription, made, in_x, stop_mm)
         needed = [max(sizes) for sizes in zip(needed, across, strict=True)]
     axial = paraxial.heights_mm(paraxial.marginal_ray(made.object_mm, stop_mm))

@@ -19,8 +19,10 @@ from lfmesh.imports.codev_phases import COMMANDS, DiffractiveSurfaces
 from lfmesh.imports.codev_tables import (
     COEFFICIENTS,
     FIELDS,
+    GRADIENTS,
     MIRRORS,
     MOVES,
+    NO_GRADIENTS,
     PRESSURES,
     REFUSED,
     RETURNS,
@@ -453,6 +455,8 @@ class _Reader:
             try:
                 formula = words[1].upper() if len(words) > 1 and not is_number(words[1]) else None
                 glass: Medium
+                if formula in GRADIENTS:
+                    raise GlassError(NO_GRADIENTS)
                 if formula is None:
                     glass, how = private_glass(self.private_nm, numbers(words[1:])), ""
                 else:

@@ -14,6 +14,11 @@ MIRRORS = "mirrors are not supported: the lens refracts"
 COEFFICIENTS = "ABCDEFGHJ"
 """Coefficients of r⁴, r⁶, ... r²⁰."""
 
+NO_GRADIENTS = "gradient indices of CODE V are not supported"
+
+GRADIENTS = ("URN", "SEL", "SPG", "USG")
+"""Formulas of private glasses with a gradient index. They are not public."""
+
 WITHOUT_EFFECT = command_names(
     "LEN GO CA INI WTW WTF SLB CCY THC CUM THM GLC KC AC BC CC DC EC FC GC HC JC DER CLS PIM CVS HCC "
     "ADC BDC CDC XDC YDC ZDC CPR POL SPH ORD AFI UM UMY HMY IMY"
@@ -23,7 +28,7 @@ WITHOUT_EFFECT = command_names(
 REFUSED = {
     **dict.fromkeys(["XTO", "YTO", "CYL", "AAS", "RDX", "CUX", "KX", "KY"], "toroids and biconics are not supported"),
     **dict.fromkeys(["SPS", "QBF", "QCN", "ODD", "XYP", "ZRN", "UDS"], "special surfaces are not supported"),
-    **dict.fromkeys(["GRN", "URN", "GRC"], "gradient indices are not supported"),
+    **dict.fromkeys(["GRN", "URN", "GRC"], NO_GRADIENTS),
     **dict.fromkeys(["REX", "REY"], "rectangular apertures are not supported"),
     **dict.fromkeys(["ELX", "ELY"], "elliptical apertures are not supported"),
     **dict.fromkeys(["ADX", "ADY"], "decentred apertures are not supported"),

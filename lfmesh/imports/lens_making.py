@@ -18,13 +18,15 @@ from lfmesh.imports.conditions import Conditions, FieldPoint
 from lfmesh.imports.decentres import START, Place, gaps, straightened
 from lfmesh.imports.file_words import file_fault
 from lfmesh.imports.glasses import Medium, glass_code, model_glass, named_glass, unlike
+from lfmesh.imports.gradient_keys import OWN_RADIUS
 from lfmesh.imports.prescription import FAR_MM, FileSurface, KeptSurfaces, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.surface_coatings import lens_coatings
 from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.lens import FileChoices, Lens, Surface
 from lfmesh.scene.first_order.paraxial import Paraxial
-from lfmesh.scene.literals import plain
+from lfmesh.scene.literals import literal, plain
 from lfmesh.scene.materials.matter import Matter
 from lfmesh.scene.quantities import LARGEST
 
@@ -47,8 +49,9 @@ def refuse_choices(path: Path, choices: FileChoices, configurations: bool = Fals
     configurations : bool
         Whether the format supports several.
     """
-    if choices.coating_file is not None:
-        raise SceneError(f"{path}: coating_file = {choices.coating_file!r}: only for .zmx files; omit it")
+    for key, given in (("coating_file", choices.coating_file), ("gradient_files", choices.gradient_files)):
+        if given:
+            raise SceneError(f"{path}: {key} = {literal(given)}: only for .zmx files; omit it")
     if not configurations and choices.configuration not in (None, 1):
         raise SceneError(f"{path}: configuration = {choices.configuration}: the file has one configuration")
 
@@ -113,6 +116,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             indices=tuple(refractive_index(medium, prescription.primary_nm) for medium in (media[0], *made.media)),
             stop=stop,
             thin_powers=tuple(power for power, _ in made.thin_powers),
+            gradients=made.gradient_gaps(prescription.primary_nm),
         )
     except GlassError as error:
         raise SceneError(f"{report.path}: {error}") from None
@@ -206,7 +210,8 @@ def _shape(surface: FileSurface, unit: float) -> dict[str, object]:
 
 
 def _medium_keys(medium: Medium | None) -> dict[str, object]:
-    return {"index" if isinstance(medium, float) else "glass": medium}
+    key = "index" if isinstance(medium, float) else "gradient" if isinstance(medium, Gradient) else "glass"
+    return {key: medium}
 
 
 def shortest_radius(curvature: float) -> float:
@@ -256,7 +261,9 @@ def _media(prescription: Prescription, report: Report, glasses: Mapping[str, str
         medium: Medium | None = None
         at, text = surface.glass_line or (surface.line, surface.text)
         try:
-            if surface.glass is not None and surface.glass in glasses:
+            if surface.gradient is not None:
+                medium = _gradient(surface, prescription.unit_mm)
+            elif surface.glass is not None and surface.glass in glasses:
                 given = glasses[surface.glass]
                 medium = given if isinstance(given, str) else float(given)
                 report.add(at, text, Verdict.APPROXIMATED, f"{surface.glass}: {given} as asked for")
@@ -274,7 +281,21 @@ def _media(prescription: Prescription, report: Report, glasses: Mapping[str, str
         except GlassError as error:
             report.refuse(at, text, str(error))
         media.append(None if medium == AIR else medium)
+    first = prescription.surfaces[0]
+    if first.gradient is not None:
+        report.refuse(first.line, first.text, "an object in gradient-index glass is not supported")
     return media
+
+
+def _gradient(surface: FileSurface, unit: float) -> Gradient | None:
+    """Return the gradient-index glass behind a surface; GlassError if a scene cannot have it."""
+    keys = surface.gradient or {}
+    if keys.get("radius_mm", math.inf) is OWN_RADIUS:
+        keys = keys | {"radius_mm": shortest_radius(surface.curvature / unit)}
+    try:
+        return Surface(gradient=keys).gradient
+    except SceneError as error:
+        raise GlassError(file_fault(str(error), [])) from None
 
 
 def _merged(prescription: Prescription, media: list[Medium | None], report: Report) -> KeptSurfaces:
@@ -309,8 +330,8 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
     left_out = []
     numbers = []
     for i, surface in enumerate(inner, 1):
-        thin = surface.focal_length is not None or surface.phase is not None
-        if surface.stop or surface.aperture is not None or media[i] != before or thin:
+        acts = any(each is not None for each in (surface.focal_length, surface.phase, surface.gradient))
+        if surface.stop or surface.aperture is not None or media[i] != before or acts:
             numbers.append(i)
             made.kept.append(surface)
             made.media.append(media[i])
@@ -472,8 +493,11 @@ def _note(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, re
             f"the image stands in the medium behind the last surface: index {paraxial.image_index:.10g}"
         )
     phases = [f"{i} ({surface.phase['kind']})" for i, surface in enumerate(made.kept) if surface.phase is not None]
-    if phases:
-        report.notes.append(f"phases: {len(phases)}, of surface{'s' if len(phases) > 1 else ''} {', '.join(phases)}")
+    gradients = [f"{i} ({each.gradient['kind']})" for i, each in enumerate(made.kept) if each.gradient is not None]
+    for noun, listed in (("phases", phases), ("gradients", gradients)):
+        if listed:
+            which = f"surface{'s' if len(listed) > 1 else ''} {', '.join(listed)}"
+            report.notes.append(f"{noun}: {len(listed)}, of {which}")
     points = ", ".join(f"{math.hypot(point.x, point.y):g}" for point in prescription.fields)
     if points:
         unit = "degrees" if prescription.field_kind == "angle" else f"file units on the {prescription.field_kind}"

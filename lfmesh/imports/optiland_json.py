@@ -42,6 +42,8 @@ _KNOWN = {
     "file": ("version", "name", "aperture", "fields", "wavelengths", "surface_group"),
 }
 _INTERACTIONS = ("RefractiveReflectiveModel", MODEL, GRATING_MODEL, "Surface", "ObjectSurface", "ImageSurface", "")
+_STRAIGHT = "HomogeneousPropagation"
+"""Propagation along straight rays. optiland 0.6 also names GRINPropagation, which it does not implement."""
 _WITHOUT_EFFECT = ("ray_tracer", "pickups", "solves")
 """Keys about aiming and optimisation, which are ignored: the surfaces hold the present values."""
 
@@ -170,6 +172,9 @@ class _Reader:
 
     def _medium(self, surface: FileSurface, medium: Mapping[str, Any]) -> None:
         kind = _held(medium, "type", str)
+        path = medium.get("propagation_model")
+        if isinstance(path, dict) and path.get("class") not in (None, _STRAIGHT):
+            raise ValueError(f"a medium with the propagation {str(path['class'])[:30]} is not read; {_STRAIGHT} is")
         if kind == "IdealMaterial":
             index = self._number(medium, "index")
             surface.model = None if index == 1.0 else (index, 0.0)

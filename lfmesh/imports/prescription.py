@@ -6,12 +6,16 @@ from pathlib import Path
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import Medium
+from lfmesh.imports.gradient_files import GradientFiles
+from lfmesh.imports.gradient_keys import GradientKeys
 from lfmesh.imports.phase_keys import PhaseKeys
 from lfmesh.imports.square_terms import SquareTerm, without_square
 from lfmesh.optics.glass import D_LINE_NM
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.lens import Element
 from lfmesh.scene.camera.qbfs import Qbfs
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
+from lfmesh.scene.first_order.paraxial import GradientGap, gradient_gap
 
 FAR_MM = 1e9
 """Distance from which an object counts as infinite; files write 1e10 to 1e14."""
@@ -65,6 +69,8 @@ class FileSurface:
     """Line, text and name of its coating; or the path of a file that holds only this coating."""
     phase: PhaseKeys | None = None
     """Keys of its phase in a scene, lengths in mm."""
+    gradient: GradientKeys | None = None
+    """Keys of the gradient-index glass behind it in a scene, lengths in mm."""
     focal_length: float | None = None
     """Focal length of a thin lens in place of the surface; NaN: not given."""
     is_break: bool = False
@@ -140,6 +146,8 @@ class Prescription:
         Index or glass, by name, of materials that the file defines.
     coating_file : str or Path, optional
         Name of the coating file beside this one, or path of another.
+    gradient_files : GradientFiles
+        Files of gradient-index materials.
     telecentric : tuple of int and str, optional
         Line and text that require object-space telecentricity.
     """
@@ -156,6 +164,7 @@ class Prescription:
     makers: list[str] = field(default_factory=list)
     indices: dict[str, Medium] = field(default_factory=dict)
     coating_file: str | Path | None = None
+    gradient_files: GradientFiles = field(default_factory=lambda: GradientFiles(Path()))
     telecentric: tuple[int, str] | None = None
 
     @property
@@ -179,3 +188,23 @@ class KeptSurfaces:
     """Off-axis groups, by the numbers of their surfaces in `kept`."""
     thin_powers: list[tuple[float, float]] = field(default_factory=list)
     """Powers of thin lenses and phases in the sections y–z and x–z, 1/mm; 0 for other surfaces."""
+
+    def gradient_gaps(self, wavelength_nm: float, section_x: bool = False) -> tuple[GradientGap | None, ...]:
+        """Return the paraxial optics of gaps of gradient-index glass, as `Paraxial` takes them.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+        section_x : bool
+            Use the x–z section in place of y–z.
+
+        Raises
+        ------
+        GlassError
+            The index on the axis is not between 1 and 10.
+        """
+        gaps = tuple(
+            gradient_gap(medium, wavelength_nm, length, section_x) if isinstance(medium, Gradient) else None
+            for medium, length in zip(self.media, self.gaps_mm, strict=False)
+        )
+        return gaps if any(gaps) else ()

@@ -10,6 +10,7 @@ from lfmesh.imports.glasses import Medium
 from lfmesh.imports.multilayer import multilayer
 from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.materials.coatings import UNCOATED, Coating
 
 
@@ -51,6 +52,8 @@ def lens_coatings(
                         found = found_coating(name, primary_nm, file, str(file_name or USUAL_FILE))
                 except UnreadableCoatingError as error:
                     bare = f"{error}; the surface is traced bare"
+            if found is not None and found.coating.layers and any(isinstance(m, Gradient) for m in (before, medium)):
+                found, bare = None, "layers on gradient-index glass are not supported; the surface is traced bare"
             if found is not None:
                 coating = found.coating
                 free = next(each for each in numbered(_name_in_scene(name)) if coatings.get(each, coating) == coating)

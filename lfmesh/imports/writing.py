@@ -2,6 +2,7 @@
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.coating_writer import coating_names
+from lfmesh.imports.gradient_writer import check_gradient
 from lfmesh.imports.phase_writer import check_phase
 from lfmesh.imports.zemax_tables import SECTIONS
 from lfmesh.optics.glass import D_LINE_NM, find_glass, glass_name
@@ -31,6 +32,9 @@ def check_writable(lens: Lens, program: str) -> list[str]:
         if surface.refractor is not None or surface.mesh is not None:
             raise SceneError(f"surfaces[{i}]: a mesh cannot be written as a {program} surface")
         check_phase(i, surface, program)
+        if surface.gradient is not None and program != ZEMAX:
+            raise SceneError(f"surfaces[{i}].gradient: not written to {program} files; write .zmx")
+        check_gradient(i, surface)
     held = {UNCOATED, *(coating_names(lens) if program == ZEMAX else ())}
     coated = [str(i) for i, surface in enumerate(lens.surfaces) if surface.coating not in held]
     phases = {i: surface.phase for i, surface in enumerate(lens.surfaces) if surface.phase is not None}

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from lfmesh.errors import SceneError
 from lfmesh.imports.conditions import FieldPoint
+from lfmesh.imports.gradient_files import BLANKS, GradientFiles
 from lfmesh.imports.lens_making import lens_of, note_focal_lengths
 from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import MOST_CONFIGURATIONS, Prescription
@@ -55,6 +56,7 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
 def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Report, int]:
     """Return the lens in one configuration, its report, and the number of configurations."""
     reader = _Reader(Report(path))
+    reader.made.gradient_files = GradientFiles(path.parent, tuple(map(Path, choices.gradient_files)))
     for at, line in enumerate(lines, 1):
         reader.take(at, line)
     made, found = reader.finished(), reader.configurations
@@ -106,7 +108,6 @@ class _Reader(SurfaceReader):
         made = self.made
         if not made.surfaces:
             raise SceneError(f"{self.report.path}: not a Zemax lens file: it has no line SURF")
-        self.end_surfaces()
         used = [line for number, line in sorted(self.waves.items()) if not self.count or number <= self.count]
         made.wavelengths_nm = list(dict.fromkeys(used))
         if made.wavelengths_nm and self.waves:
@@ -117,6 +118,7 @@ class _Reader(SurfaceReader):
                 self.report.add(*self.primary_line, Verdict.TAKEN)
             primary = self.waves.get(made.primary, used[0])
             made.primary = made.wavelengths_nm.index(primary) if primary in made.wavelengths_nm else 0
+        self.end_surfaces()
         made.makers = self.catalogues
         made.source = " ".join(self.notes).strip() or None
         made.fields = self._field_points()
@@ -254,7 +256,10 @@ class _Reader(SurfaceReader):
 
     def _on_cofn(self, _: list[str]) -> None:
         names = [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"|(\S+)', self.text)]
-        self.made.coating_file = next((ntpath.basename(name) for name in names if name.upper().endswith(".DAT")), None)
+        names = [ntpath.basename(name) for name in names]
+        self.made.coating_file = next((name for name in names if name.upper().endswith(".DAT")), None)
+        # The last one has the profiles of GRADIUM blanks.
+        self.made.gradient_files.profiles = next((name for name in names if name.upper().endswith(".GRD")), BLANKS)
         self._taken()
 
     def _on_mnum(self, words: list[str]) -> None:

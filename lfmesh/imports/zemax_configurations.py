@@ -38,6 +38,8 @@ def _semi_diameter(surface: FileSurface, value: str) -> None:
 
 
 def _glass(surface: FileSurface, value: str) -> None:
+    if surface.gradient is not None:
+        raise ValueError("gradient-index glass that differs between configurations is not supported")
     name = value.strip('"')
     if name.upper() == "MIRROR":
         raise ValueError("mirrors are not supported: the lens refracts")

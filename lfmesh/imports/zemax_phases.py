@@ -21,15 +21,14 @@ the coefficients.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from lfmesh.imports import phase_keys
 from lfmesh.imports.numbers import nanometres
 from lfmesh.imports.phase_keys import CURVED_HOLOGRAM, PhaseKeys, whole_order
-from lfmesh.imports.prescription import FileSurface
+from lfmesh.imports.prescription import Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.xy_terms import MOST_FRINGE_TERMS, fringe_terms, powers_of
+from lfmesh.imports.zemax_lines import SurfaceLines, UnreadableLineError
 from lfmesh.scene.quantities import LARGEST
 
 ASPHERIC = ("BINARY_1", "BINARY_2")
@@ -51,69 +50,27 @@ _AS_HOLOGRAM_2 = (
 )
 
 
-class Value(NamedTuple):
-    """Number of a parameter or of extra data, with its line."""
+class PhaseLines(SurfaceLines):
+    """Lines of a phase surface; of binary optics without the terms of their asphere."""
 
-    at: int
-    text: str
-    number: float
-
-
-class UnreadableLineError(ValueError):
-    """A line that a phase surface cannot have.
-
-    Attributes
-    ----------
-    at, text : int, str
-        Number (from 1) and text of the line.
-    """
-
-    def __init__(self, at: int, text: str, why: str) -> None:
-        super().__init__(why)
-        self.at, self.text = at, text
-
-
-@dataclass
-class PhaseLines:
-    """Lines of a phase surface, read once the file has ended.
-
-    Attributes
-    ----------
-    kind : str
-        Zemax's type.
-    surface : FileSurface
-    at, text : int, str
-        Line of its type.
-    parameters, extra : dict
-        Values by place; of binary optics without the terms of their asphere.
-    """
-
-    kind: str
-    surface: FileSurface
-    at: int
-    text: str
-    parameters: dict[int, Value] = field(default_factory=dict)
-    extra: dict[int, Value] = field(default_factory=dict)
-
-    def take(self, unit_mm: float, report: Report) -> None:
+    def take(self, made: Prescription, report: Report) -> None:
         """Give the surface its phase, and the lines their verdicts.
 
         Parameters
         ----------
-        unit_mm : float
-            Length of the file's unit.
+        made : Prescription
         report : Report
         """
         try:
             self._check_numbers()
-            self.surface.phase = READERS[self.kind](self, unit_mm)
+            self.surface.phase = READERS[self.kind](self, made.unit_mm)
         except UnreadableLineError as error:
             report.refuse(error.at, error.text, str(error))
             return
         for place, value in self.parameters.items():
             unused = self.kind == "FZERNPHA" and place == 1 and not self._reaches_beyond
             report.add(value.at, value.text, Verdict.WITHOUT_EFFECT if unused else Verdict.TAKEN)
-        counted = self._number(self.extra, 1, 0.0) * (_PER_ZONE if self.kind == "BINARY_3" else 1)
+        counted = self.extra_number(1) * (_PER_ZONE if self.kind == "BINARY_3" else 1)
         first = 2 if self.kind == "BINARY_3" else 3
         for place, value in self.extra.items():
             beyond = place - first >= counted and value.number
@@ -124,11 +81,6 @@ class PhaseLines:
             report.add(self.at, self.text, Verdict.APPROXIMATED, how)
         else:
             report.add(self.at, self.text, Verdict.TAKEN)
-
-    def error(self, why: str, value: Value | None = None) -> UnreadableLineError:
-        """Return the error about a value, or about the surface."""
-        at, text = (self.at, self.text) if value is None else (value.at, value.text)
-        return UnreadableLineError(at, text, why)
 
     def _doubt(self) -> str:
         """Return how the phase differs from Zemax's; empty if it does not."""
@@ -156,20 +108,6 @@ class PhaseLines:
             if value.number and self.kind not in MOST_TERMS:
                 raise self.error(f"{self.kind} has no extra data", value)
 
-    @staticmethod
-    def _number(values: dict[int, Value], place: int, default: float) -> float:
-        return values[place].number if place in values else default
-
-    def parameter(self, place: int) -> float:
-        """Return a parameter; 0 if the file has none."""
-        return self._number(self.parameters, place, 0.0)
-
-    def needed(self, place: int, noun: str) -> Value:
-        """Return the value of a parameter that the file must give."""
-        if place not in self.parameters:
-            raise self.error(f"parameter {place}, {noun}, is missing")
-        return self.parameters[place]
-
     def order(self, place: int) -> int:
         """Return the diffraction order in a parameter."""
         value = self.needed(place, "the diffraction order")
@@ -177,12 +115,6 @@ class PhaseLines:
             return whole_order(value.number)
         except ValueError as error:
             raise self.error(str(error), value) from None
-
-    def only(self, places: range) -> None:
-        """Raise for a parameter other than 0 outside these places."""
-        for place, value in self.parameters.items():
-            if place not in places and value.number:
-                raise self.error(f"parameter {place} of {self.kind} is unknown", value)
 
     @property
     def count(self) -> int:
@@ -209,7 +141,7 @@ class PhaseLines:
         places = range(3, self.count + 3)
         if places and not any(place in self.extra for place in places):
             raise self.error(f"XDAT 1 counts {len(places)} terms, but the file has none of their coefficients")
-        return [self._number(self.extra, place, 0.0) for place in places]
+        return [self.extra_number(place) for place in places]
 
 
 def _binary_1(lines: PhaseLines, unit_mm: float) -> PhaseKeys | None:

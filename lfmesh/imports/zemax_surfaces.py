@@ -7,7 +7,11 @@ from lfmesh.imports.decentres import Move
 from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import MOST_SURFACES, FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
-from lfmesh.imports.zemax_phases import ASPHERIC, READERS, PhaseLines, Value
+from lfmesh.imports.zemax_gradients import READERS as GRADIENTS
+from lfmesh.imports.zemax_gradients import GradientLines
+from lfmesh.imports.zemax_lines import SurfaceLines, Value
+from lfmesh.imports.zemax_phases import ASPHERIC, PhaseLines
+from lfmesh.imports.zemax_phases import READERS as PHASES
 from lfmesh.imports.zemax_tables import (
     ASPHERES,
     BEFORE_EXTRA,
@@ -23,6 +27,9 @@ from lfmesh.imports.zemax_tables import (
     ZERNIKE_TERMS,
 )
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
+
+_LATE: dict[str, type[SurfaceLines]] = {**dict.fromkeys(PHASES, PhaseLines), **dict.fromkeys(GRADIENTS, GradientLines)}
+"""Types whose lines are read once the file has ended."""
 
 
 class SurfaceReader:
@@ -46,7 +53,7 @@ class SurfaceReader:
         self.drawn: list[tuple[int, str, FileSurface]] = []
         self.distance_line = 0, ""
         self.extra: dict[int, tuple[int, str, float]] = {}
-        self.phases: dict[int, PhaseLines] = {}
+        self.late: dict[int, SurfaceLines] = {}
         """By the number of the following surface."""
 
     def end_surfaces(self) -> None:
@@ -57,10 +64,10 @@ class SurfaceReader:
         self._end_surface()
         self._end_drawn()
         refused = [line.number for line in self.report.of(Verdict.REFUSED)]
-        for following, lines in self.phases.items():
+        for following, lines in self.late.items():
             end = self.made.surfaces[following].line if following < len(self.made.surfaces) else math.inf
             if not any(lines.at < number < end for number in refused):
-                lines.take(self.made.unit_mm, self.report)
+                lines.take(self.made, self.report)
 
     def _end_drawn(self) -> None:
         """Report which semi-diameters are used: a pupil or clear aperture makes them drawing sizes only."""
@@ -113,10 +120,10 @@ class SurfaceReader:
     def _on_type(self, words: list[str]) -> None:
         surface, self.kind = self._surface, words[0].upper()
         surface.is_break = self.kind == "COORDBRK"
-        self.phases.pop(len(self.made.surfaces), None)
-        if self.kind in READERS:
+        self.late.pop(len(self.made.surfaces), None)
+        if self.kind in _LATE:
             # Its verdict and those on its lines depend on all of them.
-            self.phases[len(self.made.surfaces)] = PhaseLines(self.kind, surface, self.at, self.text)
+            self.late[len(self.made.surfaces)] = _LATE[self.kind](self.kind, surface, self.at, self.text)
         elif self.kind in ("STANDARD", "COORDBRK", FORBES, *ASPHERES):
             self._taken()
         elif self.kind in SECTIONS:
@@ -127,7 +134,7 @@ class SurfaceReader:
             self._taken("a thin lens")
         else:
             why = REFUSED_TYPES.get(self.kind, f"surfaces of type {self.kind} are not supported")
-            supported = ", ".join((*ASPHERES, *SECTIONS, FORBES, *READERS))
+            supported = ", ".join((*ASPHERES, *SECTIONS, FORBES, *_LATE))
             self._refuse(f"{why}; STANDARD, {supported} and PARAXIAL are")
 
     def _on_stop(self, _: list[str]) -> None:
@@ -177,7 +184,7 @@ class SurfaceReader:
 
     def _on_parm(self, words: list[str]) -> None:
         place, value = int(number(words[0])), number(words[1])
-        if self.kind in READERS and not (self.kind in ASPHERIC and 1 <= place <= 8):
+        if self.kind in _LATE and not (self.kind in ASPHERIC and 1 <= place <= 8):
             self._put(place, value)
         elif not value:
             self._taken()
@@ -213,8 +220,8 @@ class SurfaceReader:
         # Parameters of a refused type are covered by its refusal.
 
     def _put(self, place: int, value: float, extra: bool = False) -> None:
-        """Keep a number of a phase surface; later versions store extra data among the parameters."""
-        lines = self.phases[len(self.made.surfaces)]
+        """Keep a number for the end of the file; later versions store extra data among the parameters."""
+        lines = self.late[len(self.made.surfaces)]
         if place > BEFORE_EXTRA and not extra:
             place, extra = place - BEFORE_EXTRA, True
         values = lines.extra if extra else lines.parameters
@@ -234,7 +241,7 @@ class SurfaceReader:
 
     def _on_xdat(self, words: list[str]) -> None:
         place, value = int(number(words[0])), number(words[1])
-        if self.kind in READERS:
+        if self.kind in _LATE:
             self._put(place, value, extra=True)
         elif self.kind in FIRST_TERM:
             # Its meaning depends on the number of terms, known at the surface's end.

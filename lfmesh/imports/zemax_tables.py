@@ -64,6 +64,8 @@ REFUSED_TYPES = {
     "SZERNSAG": "surfaces without rotational symmetry are not supported",
     "BINARY_4": "a variable number of zones with phases of their own is not supported",
     "SZERNPHA": "phases of standard Zernike polynomials are not supported",
+    "GRINSUR6": "gradient-index glass of GLC.DAT is not supported",
+    "GRINSU11": "gradient-index glass on a grid is not supported",
     "NONSEQCO": "non-sequential groups are not supported",
     "FRESNELS": "Fresnel surfaces are not supported",
     "IRREGULA": "irregular surfaces are not supported",

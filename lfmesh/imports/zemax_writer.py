@@ -10,6 +10,7 @@ from lfmesh.imports.coating_writer import coating_file, coating_names
 from lfmesh.imports.conditions import Conditions
 from lfmesh.imports.decentres import move_of
 from lfmesh.imports.glasses import named_glass
+from lfmesh.imports.gradient_writer import gradient_lines
 from lfmesh.imports.phase_writer import MOST_EVEN_TERMS, zemax_lines
 from lfmesh.imports.writing import ZEMAX, check_writable, curvature, maker_and_name, stop_radius_mm
 from lfmesh.optics.glass import AIR, glass_name
@@ -174,6 +175,9 @@ def _glass(where: str, matter: Surface | Matter) -> list[str]:
         if glass.nd is None or glass.air is not None:
             raise SceneError(f"{where}.glass: a Zemax file cannot hold this glass, {glass.in_words()}; write .seq")
         return [f"  GLAS ___BLANK 1 0 {glass.nd!r} {glass.vd!r} 0 0 0 0 0 0"]
+    if isinstance(matter, Surface) and matter.gradient is not None:
+        # Its index is in the parameters of the surface.
+        return []
     if glass is not None:
         return [f"  GLAS {maker_and_name(glass, 'Zemax')[1]} 0 0 1.5 40 0 0 0 0 0 0"]
     # A model glass with Abbe number 0 has no dispersion.
@@ -197,6 +201,8 @@ def _shape(number: int, surface: Surface) -> list[str]:
     """Return the type of a surface and its parameters."""
     if surface.phase is not None:
         return zemax_lines(number, surface)
+    if surface.gradient is not None:
+        return gradient_lines(number, surface)
     if surface.biconic is not None:
         section = surface.biconic
         return ["  TYPE BICONICX", f"  PARM 1 {_of_flat(section.radius_x_mm)!r}", f"  PARM 2 {section.conic_x!r}"]

@@ -312,7 +312,9 @@ def _choices_in(folder: Path, lens: Lens) -> FileChoices:
     """Return the file choices of a lens, with paths relative to a folder."""
     choices = lens.file_choices
     given = choices.coating_file
-    return choices if given is None else replace(choices, coating_file=str(folder / given))
+    coatings = None if given is None else str(folder / given)
+    gradients = tuple(str(folder / file) for file in choices.gradient_files)
+    return replace(choices, coating_file=coatings, gradient_files=gradients)
 
 
 def _lens_path(file: str, folder: Path) -> Path:

@@ -48,6 +48,9 @@ class Lens(Model):
     """Number of the file's configuration, from 1. Omitted: as the file's surfaces stand."""
     coating_file: Text | None = None
     """Zemax coating file for a .zmx file, relative to the scene file. Omitted: the one beside the lens file."""
+    gradient_files: tuple[Text, ...] = ()
+    """Zemax's files of gradient-index materials for a .zmx file (SGRIN.DAT, GRADIENT_9.DAT, PROFILE.GRD), relative to
+    the scene file. Omitted: the ones beside the lens file."""
     name: Text | None = None
     """Name of the lens."""
     source: Text | None = None

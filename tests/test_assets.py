@@ -33,6 +33,7 @@ PUBLISHED = {
     "field_corrector_127mm": (587.6, 5 * 25.4, None, 0.1),
     "fisheye_10mm": (587.6, 10.0, None, 0.02),
     "flektogon_100mm": (587.6, 100.0, None, 0.3),
+    "liou_brennan_eye_17mm": (555.0, 1000.0 / 60.35, 16.27, 0.003),
     "heliar_254mm": (587.6, 10 * 25.4, None, 0.2),
     "petzval_kodak_100mm": (587.6, 100.0, None, 0.1),
     "planar_49mm": (587.6, 49.4, None, 0.05),
@@ -161,6 +162,23 @@ def test_the_rods_of_the_contact_sensor_image_its_chart_upright_at_its_own_size(
     assert np.abs(series - np.cosh(g * r) ** -2).max() < 1e-7
 
 
+def test_the_eye_has_its_published_power_and_length_and_sees_far() -> None:
+    """Liou and Brennan, 1997: 60.35 D (60.343 D of their rounded numbers), 23.95 mm, relaxed; in D and mm."""
+    scene = load(ASSETS / "scenes" / "eye.toml")
+    report = first_order(scene)
+    assert 1000.0 / report.efl_mm == pytest.approx(60.35, abs=0.01)
+    lens, retina_mm = scene.camera.lens, scene.camera.sensor.distance_mm
+    assert retina_mm is not None
+    assert lens.vertices_mm[-1] + retina_mm == pytest.approx(23.95, abs=1e-12)
+    # The image of a far object lies on the retina, to the last digit that is published.
+    assert report.bfl_mm == pytest.approx(retina_mm, abs=5e-3)
+    # Both halves of the lens have one index where they meet.
+    front, back = (surface.gradient for surface in lens.surfaces[2:4])
+    assert front is not None
+    assert back is not None
+    assert front.index_on_axis(555.0, 1.59) == pytest.approx(back.index_at(555.0), abs=1e-6)
+
+
 def test_the_promised_scenes_are_there() -> None:
     promised = {"first_light", "lit_chart", "conventional", "hexagonal", "emitting_plane", "lytro_class", "focused"}
     assert {
@@ -171,6 +189,7 @@ def test_the_promised_scenes_are_there() -> None:
         "color_checker",
         "cover_glass",
         "diffraction",
+        "eye",
         "glossy",
         "grin_rods",
         "ground_glass",

@@ -29,6 +29,7 @@ CROPS = {
     "crossed_cylinders": (-1.0, 0.5),
     "diffraction": (0.0, 0.0),
     "emitting_plane": (-0.5, 0.5),
+    "eye": (-0.3, 0.15),
     "first_light": (-1.0, 0.5),
     "flame": (0.0, 0.5),
     "focused": (-1.0, 0.5),

@@ -26,6 +26,7 @@ from lfmesh.files.calibration import read_calibration, write_calibration
 from lfmesh.files.white_picture import read_picture
 from lfmesh.geometry.voxels import read_voxels
 from lfmesh.imports.coatings import CoatingFile, UnreadableCoatingError
+from lfmesh.imports.gradient_files import GradientFiles, MissingMaterialError
 from lfmesh.imports.lens_file import read_lens, write_lens_file
 from lfmesh.lightfield.volumes.voxel_box import read_box
 from lfmesh.optics.curve import read_curve
@@ -38,7 +39,7 @@ from lfmesh.study.fits.board_files import read_corners
 from lfmesh.study.optimise.optimise import load_design
 from tests.cameras import bench_camera
 from tests.fuzz.test_meshes import damaged, damages, kept
-from tests.imports.files import CROWDED_ZMX, PHASES_SEQ, PHASES_ZMX
+from tests.imports.files import CROWDED_ZMX, GRADIENT_FILES, GRADIENTS_ZMX, PHASES_SEQ, PHASES_ZMX
 from tests.imports.test_optiland_phases import PHASES as OPTILAND_PHASES
 
 SCENE = bench_camera(4, 4) + (
@@ -172,6 +173,13 @@ def coating_file(path: Path) -> Any:
             file.coating(name, 587.6)
 
 
+def gradient_file(path: Path) -> Any:
+    files = GradientFiles(path.parent, (path,))
+    for find, name in ((files.dispersion, "GSF"), (files.rod, "SLS-1.0"), (files.blank, "G41SFN")):
+        with suppress(MissingMaterialError):
+            find(name)
+
+
 def profile(path: Path) -> Any:
     found = read_profile(path)
     assert np.isfinite(found.shares()).all()
@@ -291,6 +299,10 @@ TEXTS: dict[str, Callable[[], Kind]] = {
     "zmx": lambda: Kind("zmx", as_lens("zmx"), lens),
     "seq": lambda: Kind("seq", as_lens("seq"), lens),
     "crowded zmx": lambda: Kind("zmx", CROWDED_ZMX.encode(), lens),
+    "gradients zmx": lambda: Kind("zmx", GRADIENTS_ZMX.encode(), lens),
+    "gradient dispersions": lambda: Kind("dat", GRADIENT_FILES["SGRIN.DAT"].encode(), gradient_file),
+    "gradient rods": lambda: Kind("dat", GRADIENT_FILES["GRADIENT_9.DAT"].encode(), gradient_file),
+    "gradient blanks": lambda: Kind("grd", GRADIENT_FILES["PROFILE.GRD"].encode(), gradient_file),
     "phases zmx": lambda: Kind("zmx", PHASES_ZMX.encode(), lens),
     "phases seq": lambda: Kind("seq", PHASES_SEQ.encode(), lens),
     "phases optiland": lambda: Kind("json", json.dumps(OPTILAND_PHASES, indent=1).encode(), lens),
@@ -309,8 +321,8 @@ BINARIES: dict[str, Callable[[], Kind]] = {
 }
 
 
-PHASE_FILES = ("phases zmx", "phases seq", "phases optiland")
-WITH_SCENES = ("study", "filling study", "dataset", "design", "lens", "zmx", "seq", "crowded zmx", *PHASE_FILES)
+LENS_FILES = ("phases zmx", "phases seq", "phases optiland", "gradients zmx")
+WITH_SCENES = ("study", "filling study", "dataset", "design", "lens", "zmx", "seq", "crowded zmx", *LENS_FILES)
 """What names a scene, or is part of one: all faults are said at once."""
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from lfmesh.errors import SceneError
 from lfmesh.scene import load_lens
-from tests.imports.files import PHASES_SEQ, PHASES_ZMX, SINGLET_SEQ, SINGLET_ZMX
+from tests.imports.files import GRADIENTS_ZMX, PHASES_SEQ, PHASES_ZMX, SINGLET_SEQ, SINGLET_ZMX
 from tests.imports.test_coatings import FILE as COATINGS
 from tests.imports.test_lens_table import text as table
 from tests.imports.test_optiland_json import LENS as OPTILAND
@@ -18,6 +18,7 @@ from tests.processor_time import processor_seconds
 FILES = [
     (".zmx", SINGLET_ZMX),
     (".zmx", PHASES_ZMX),
+    (".zmx", GRADIENTS_ZMX),
     (".seq", SINGLET_SEQ),
     (".seq", PHASES_SEQ),
     (".len", LEN),

@@ -7,7 +7,7 @@ import pytest
 
 from lfmesh.imports import codev, oslo, zemax
 from lfmesh.imports.report import Report, Verdict
-from tests.imports.files import CROWDED_ZMX, PHASES_SEQ, PHASES_ZMX, SINGLET_SEQ, SINGLET_ZMX
+from tests.imports.files import CROWDED_ZMX, GRADIENTS_ZMX, PHASES_SEQ, PHASES_ZMX, SINGLET_SEQ, SINGLET_ZMX
 from tests.imports.test_oslo import LENS
 
 OTHER_GLASS = SINGLET_ZMX.replace("N-BK7 0 0 1.5168 64.17", "N-BK7 0 0 1.6 64.17")
@@ -39,11 +39,12 @@ def test_the_weightiest_verdict_on_a_line_stands_with_its_reasons() -> None:
         (zemax.read, CROWDED_ZMX),
         (zemax.read, OTHER_GLASS),
         (zemax.read, PHASES_ZMX),
+        (zemax.read, GRADIENTS_ZMX),
         (codev.read, SINGLET_SEQ),
         (codev.read, PHASES_SEQ),
         (oslo.read, LENS),
     ],
-    ids=["zmx", "other index", "zmx phases", "seq", "seq phases", "len"],
+    ids=["zmx", "other index", "zmx phases", "zmx gradients", "seq", "seq phases", "len"],
 )
 def test_no_line_of_a_file_has_two_verdicts(read, text) -> None:
     _, report = read(Path("lens"), text.splitlines())

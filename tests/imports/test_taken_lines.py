@@ -11,7 +11,7 @@ from lfmesh.errors import SceneError
 from lfmesh.imports import codev, lens_table, optiland_json, oslo, zemax
 from lfmesh.imports.report import Verdict
 from lfmesh.scene.camera.lens import FileChoices
-from tests.imports.files import PHASES_SEQ, PHASES_ZMX, SINGLET_SEQ, SINGLET_ZMX
+from tests.imports.files import GRADIENTS_ZMX, PHASES_SEQ, PHASES_ZMX, SINGLET_SEQ, SINGLET_ZMX
 from tests.imports.test_optiland_json import LENS as OPTILAND
 
 ZMX = (
@@ -159,6 +159,7 @@ def read_second(reader):
 READERS = {"zmx": (zemax.read, ZMX), "seq": (codev.read, SEQ), "len": (oslo.read, LEN), "csv": (lens_table.read, CSV)}
 READERS |= {
     "zmx phases": (zemax.read, PHASES_ZMX),
+    "zmx gradients": (zemax.read, GRADIENTS_ZMX),
     "seq phases": (codev.read, PHASES_SEQ),
     "zmx 2": (read_second(zemax.read), OPERANDS.join(SINGLET_ZMX.split("MNUM 1 1\n"))),
     "seq 2": (read_second(codev.read), SEQ.replace("GO\n", ZOOM + "GO\n")),

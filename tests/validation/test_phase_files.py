@@ -5,49 +5,19 @@ wavelengths, which are aimed at the paraxial entrance pupil. Versions up to 2013
 of the gratings the left and the right one, too. The prescriptions are Zemax's samples, and two of optiland's tests.
 """
 
-import itertools
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import lfmesh as lf
 from lfmesh.imports import zemax
 from lfmesh.optics.glass import refractive_index
+from tests.validation.stored_images import Sample, largest_height, rays, text_of
 
 SAME_MM = 1e-8
-
-
-class Sample(NamedTuple):
-    """Prescription, and how its image was measured."""
-
-    text: str
-    image_mm: float
-    """Distance of the image behind the last surface."""
-    stored_mm: float
-    pupil_mm: float
-    """Radius of the entrance pupil."""
-    pupil_at_mm: float
-    """Distance of the entrance pupil behind the first surface."""
-    object_mm: float
-    fields: tuple[tuple[float, float], ...]
-    """Heights x and y of the object in mm, or angles in degrees for one at infinity."""
-    edges: tuple[tuple[float, float], ...] = ((0.0, 1.0), (0.0, -1.0))
-    """Points x and y of the entrance pupil, over its radius."""
-
-
-HEAD = "MODE SEQ\nUNIT MM\nENPD {epd}\nGCAT SCHOTT\nFTYP {kind} 0 1 {waves} 0 0 0\nYFLN 0\n"
-OBJECT = "SURF 0\n  TYPE STANDARD\n  DISZ {distance}\n"
-
-
-def text_of(epd: float, waves: list[float], distance: str, *surfaces: str) -> str:
-    head = HEAD.format(epd=epd, kind=0 if distance == "INFINITY" else 1, waves=len(waves))
-    lines = [f"WAVM {k} {um} 1" for k, um in enumerate(waves, 1)]
-    numbered = [f"SURF {k}\n  {text}\n" for k, text in enumerate((*surfaces, "TYPE STANDARD\n  DISZ 0"), 1)]
-    return head + "\n".join([*lines, "PWAV 1\n"]) + OBJECT.format(distance=distance) + "".join(numbered)
 
 
 def extra(*values: float) -> str:
@@ -126,21 +96,6 @@ SAMPLES = {
 }  # fmt: skip
 
 
-def rays(sample: Sample) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the marginal rays of a sample, 10 mm or more before the first surface."""
-    starts, directions = [], []
-    for field, edge in itertools.product(sample.fields, sample.edges):
-        target = np.array([*(sample.pupil_mm * np.array(edge)), sample.pupil_at_mm])
-        if math.isinf(sample.object_mm):
-            direction = np.array([*np.tan(np.radians(field)), 1.0])
-        else:
-            direction = target - [*field, -sample.object_mm]
-        direction /= np.linalg.norm(direction)
-        starts.append(target - (10.0 + sample.pupil_at_mm) / direction[2] * direction)
-        directions.append(direction)
-    return np.array(starts), np.array(directions)
-
-
 @pytest.mark.parametrize("engine", ["sequential", "mesh"])
 @pytest.mark.parametrize("name", SAMPLES)
 @pytest.mark.filterwarnings("ignore::lfmesh.errors.LensFileWarning")
@@ -153,13 +108,7 @@ def test_the_image_is_as_large_as_opticstudio_stores_it(name: str, engine: Any) 
     lens = lens.model_copy(update={"stop_semi_diameter_mm": 1.2 * sample.pupil_mm})
     sensor = {"pixels": (1000, 1000), "pixel_mm": 0.05, "distance_mm": sample.image_mm}
     world = lf.build(lf.Scene(camera={"lens": lens, "sensor": sensor}), aimed=False)
-    starts, directions = rays(sample)
-    heights = []
-    for nm in report.conditions.wavelengths_nm:
-        paths = lf.trace(world, starts, directions, wavelength_nm=nm, split="transmit", engine=engine)
-        landed = paths.status == lf.Status.SENSOR
-        assert sorted(paths.source[landed]) == list(range(len(starts)))
-        heights.append(np.hypot(*paths.position[landed, :2].T).max())
+    heights = [largest_height(world, sample, nm, engine=engine) for nm in report.conditions.wavelengths_nm]
     assert max(heights) == pytest.approx(sample.stored_mm, rel=0.0, abs=SAME_MM)
 
 

@@ -100,6 +100,9 @@ def test_scene_loads_and_has_no_fault_of_layout(path: Path) -> None:
         # The panel is seen in the window alone.
         assert any("targets[2] (panel) is out of the field" in warning for warning in warnings)
         warnings = tuple(warning for warning in warnings if "panel" not in warning)
+    if path.stem == "eye":
+        assert any("without proof for the rays between" in warning for warning in warnings)
+        warnings = tuple(warning for warning in warnings if "without proof" not in warning)
     if path.stem == "anamorphic":
         assert any("its focal length is 49.923 mm in y and 35.256 mm in x" in warning for warning in warnings)
         warnings = tuple(warning for warning in warnings if "the lens is anamorphic" not in warning)
@@ -164,14 +167,11 @@ def test_the_rods_of_the_contact_sensor_image_its_chart_upright_at_its_own_size(
 
 def test_the_eye_has_its_published_power_and_length_and_sees_far() -> None:
     """Liou and Brennan, 1997: 60.35 D (60.343 D of their rounded numbers), 23.95 mm, relaxed; in D and mm."""
-    scene = load(ASSETS / "scenes" / "eye.toml")
-    report = first_order(scene)
-    assert 1000.0 / report.efl_mm == pytest.approx(60.35, abs=0.01)
+    scene = solved(load(ASSETS / "scenes" / "eye.toml"))
+    assert 1000.0 / first_order(scene).efl_mm == pytest.approx(60.35, abs=0.01)
     lens, retina_mm = scene.camera.lens, scene.camera.sensor.distance_mm
-    assert retina_mm is not None
-    assert lens.vertices_mm[-1] + retina_mm == pytest.approx(23.95, abs=1e-12)
-    # The image of a far object lies on the retina, to the last digit that is published.
-    assert report.bfl_mm == pytest.approx(retina_mm, abs=5e-3)
+    assert retina_mm == pytest.approx(16.27, abs=5e-3)  # the last digit that is published
+    assert lens.vertices_mm[-1] + retina_mm == pytest.approx(23.95, abs=5e-3)
     # Both halves of the lens have one index where they meet.
     front, back = (surface.gradient for surface in lens.surfaces[2:4])
     assert front is not None

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from lfmesh.errors import GlassError
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import Medium
@@ -203,8 +204,13 @@ class KeptSurfaces:
         GlassError
             The index on the axis is not between 1 and 10.
         """
-        gaps = tuple(
-            gradient_gap(medium, wavelength_nm, length, section_x) if isinstance(medium, Gradient) else None
-            for medium, length in zip(self.media, self.gaps_mm, strict=False)
-        )
-        return gaps if any(gaps) else ()
+        gaps = list[GradientGap | None]()
+        for surface, medium, length in zip(self.kept, self.media, self.gaps_mm, strict=False):
+            if not isinstance(medium, Gradient):
+                gaps.append(None)
+                continue
+            try:
+                gaps.append(gradient_gap(medium, wavelength_nm, length, section_x))
+            except GlassError as error:
+                raise GlassError(f"line {surface.line}: {surface.text}: {error}") from None
+        return tuple(gaps) if any(gaps) else ()

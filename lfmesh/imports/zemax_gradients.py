@@ -89,7 +89,9 @@ class GradientLines(SurfaceLines):
         except MissingMaterialError as error:
             report.refuse(*glass_line, str(error))
             return
-        surface.glass = surface.stated_index = surface.stated_abbe = None
+        finally:
+            # The material is no glass of a catalogue.
+            surface.glass = surface.stated_index = surface.stated_abbe = None
         unused = (STEP, *(_BY_PROGRAM if self.kind == _GRADIUM else ()))
         for place, value in self.parameters.items():
             report.add(value.at, value.text, Verdict.WITHOUT_EFFECT if place in unused else Verdict.TAKEN)

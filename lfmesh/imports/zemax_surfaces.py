@@ -163,6 +163,9 @@ class SurfaceReader:
         if name.upper() == "MIRROR":
             self._refuse("mirrors are not supported: the lens refracts")
             return
+        if self.kind in REFUSED_TYPES:
+            # Its refusal covers the glass.
+            return
         surface.glass_line = self.at, self.text
         values = numbers(words[3:5]) if len(words) > 4 else []
         if name == "___BLANK" or (len(words) > 1 and words[1] == "1"):

@@ -18,7 +18,7 @@
 
 GRIN interconnect (GRINSUR1), Selfoc lens (GRINSUR9) and sc_grin3 (GRINSUR8), samples of OpticStudio, confirm their
 types, places and formulas by the image sizes that they store. sc_grin3 also stores parameter 0 of GRINSUR8, the length
-of its blank in PROFILE.GRD.
+of its blank in PROFILE.GRD. No public file confirms that n₀ of GRINSUR2 is n² on the axis; the report says so.
 """
 
 from collections.abc import Callable, Sequence
@@ -201,6 +201,7 @@ def _gradient_2(lines: GradientLines, made: Prescription) -> GradientKeys | None
     squared = lines.base_index
     if not squared > 0.0:
         raise lines.error("n² on the axis must be above 0", lines.parameters[2])
+    lines.doubts.append(f"parameter 2 is taken as n² on the axis, so that n = {squared**0.5:.6g}")
     return lines.finished(
         made, squared**0.5, gradient_keys.radial_square(squared, lines.values(range(3, 9)), made.unit_mm)
     )

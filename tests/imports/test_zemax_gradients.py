@@ -148,6 +148,13 @@ def test_the_power_is_that_of_a_rod():
     assert "gradients: 1, of surface 0 (radial_n2)" in report.notes
 
 
+def test_the_base_of_a_square_is_told():
+    """No public file shows whether it is n or n²."""
+    report = report_of(text_of("GRINSUR2", *parameters(2, 2.25, -0.01)))
+    told = {line.text: line.how for line in report.of(Verdict.APPROXIMATED)}
+    assert told == {"TYPE GRINSUR2": "parameter 2 is taken as n² on the axis, so that n = 1.5"}
+
+
 def test_the_step_has_no_effect_and_the_rest_is_taken():
     report = report_of(text_of("GRINSUR1", *parameters(1, 0.1, 1.5, -0.083, 0.0)))
     verdicts = {line.text: line.verdict for line in report.lines}

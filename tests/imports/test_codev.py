@@ -319,5 +319,5 @@ def test_zoom_positions_that_cannot_be_taken_are_refused(text, position, said):
 
 
 def test_a_coating_file_is_for_zemax_files_only():
-    with pytest.raises(SceneError, match=r"coating_file = 'a\.dat': only for \.zmx files"):
+    with pytest.raises(SceneError, match=r'coating_file = "a\.dat": only for \.zmx files'):
         lens_of(SINGLET_SEQ, choices=FileChoices(coating_file="a.dat"))

@@ -23,7 +23,7 @@ def gradient(draw: np.random.Generator, kind: str) -> dict[str, Any]:
     """Return a random gradient that the type of Zemax can hold."""
 
     def terms(count: int) -> list[float]:
-        return (0.01 * draw.normal(size=count) / 2.0 ** np.arange(1.0, count + 1.0)).tolist()
+        return (0.02 * draw.normal(size=count) / 8.0 ** np.arange(count)).tolist()
 
     index = float(draw.uniform(1.4, 1.8))
     if kind == "radial_n2":

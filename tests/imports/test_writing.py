@@ -33,6 +33,10 @@ def assert_same(lens, again):
 def test_every_lens_of_the_library_comes_back(tmp_path, name, ending):
     lens = with_full_names(load_lens(f"lib:{name}"))
     path = tmp_path / f"lens{ending}"
+    if ending == ".seq" and any(surface.gradient for surface in lens.surfaces):
+        with pytest.raises(SceneError, match="gradient: not written to CODE V files"):
+            write_lens_file(lens, path)
+        return
     notes = write_lens_file(lens, path)
     again, _ = read_lens_file(path)
     assert_same(lens, again)

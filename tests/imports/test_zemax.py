@@ -152,7 +152,7 @@ def test_encodings_and_line_ends(tmp_path, encoding, ending):
         ("GLAS N-BK7", "GLAS N-BK77", "not in the catalogue; close to it are SCHOTT/N-BK7"),
         ("GLAS N-BK7 0 0 1.5168 64", "GLAS ___BLANK 1 0 1.5168 -64", "glass given by nd = 1.5168, Vd = -64.17"),
         ("PARM 2 1e-6", "PARM 9 1e-6", "parameter 9 of EVENASPH is unknown"),
-        ("TYPE EVENASPH", "TYPE GRINSUR1", "surfaces of type GRINSUR1"),
+        ("TYPE EVENASPH", "TYPE GRINSUR6", "gradient-index glass of GLC.DAT"),
         ("CLAP 0 6.25 0", "CLAP 1 6.25 0", "its middle is dark"),
         ("CLAP 0 6.25 0", "OBSC 0 2 0", "a central obscuration"),
         ("CLAP 0 6.25 0", "OBDC 0 2", "a decentred aperture"),

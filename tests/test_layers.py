@@ -33,7 +33,7 @@ ROOMS = {
         "checks, render, ray_starts, traced_paths, trace",
     ],
     "view": [
-        "style, figure_file, progress, pictures, key_figures, results",
+        "style, figure_file, progress, pictures, media, key_figures, results",
         *["rays", "request", "layout", "lens_sheet", "scene3d", "output", "show", "browser"],
     ],
     "files": ["", "exports"],

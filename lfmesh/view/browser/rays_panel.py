@@ -271,7 +271,7 @@ class RaysPanel:
             self._drawn = self._rays.keep(shown)
         self._view.show_rays(self._drawn, self._state.colour, fade=bool(self._state.fade))
         self._view.write([])
-        words = ["No rays"]
+        words = ["No rays", *self._view.caption]
         if self._rays is not None:
             how = "" if self._rays.reflected.any() else REFRACTED
             words = [*self._view.caption, self._whence, how, why_dark(self._rays)]

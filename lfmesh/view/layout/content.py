@@ -24,6 +24,7 @@ from lfmesh.scene.first_order.solve import (
 from lfmesh.transport.build import build
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.world import World
+from lfmesh.view.layout.media_sections import MediumSection, media_sections
 from lfmesh.view.layout.sections import (
     Cut,
     Diffractive,
@@ -165,6 +166,7 @@ class Layout:
     cover : (4, 2) float64 or None
         Section of the sensor's cover, drawn as wide as the sensor.
     targets : list of TargetSection
+    media : list of MediumSection
     detail : Detail
     """
 
@@ -180,6 +182,7 @@ class Layout:
     sensor: Array
     cover: Array | None
     targets: list[TargetSection]
+    media: list[MediumSection]
     detail: Detail
 
 
@@ -198,8 +201,8 @@ def layout(scene: Scene) -> Layout:
     drawn, facts = camera.scene, camera.report
     glass_targets = [t.model_dump() for t in drawn.targets if t.refractor is not None]
     unpolarised = {"transport.polarisation": False, "camera.polariser_deg": None}
-    bare = drawn.changed({"targets": glass_targets, "lights": (), "media": (), "particles": (), **unpolarised})
-    world = build(with_main_orders(bare))
+    unlit = drawn.changed({"lights": (), "particles": (), **unpolarised})
+    world = build(with_main_orders(unlit.changed({"targets": glass_targets, "media": ()})))
     distance = _focus_mm(facts)
     aim = Aim(world, distance)
     moves = world.tables.frames
@@ -218,6 +221,7 @@ def layout(scene: Scene) -> Layout:
         _sensor_section(drawn, moves),
         _cover_section(drawn, moves),
         _target_sections(drawn, moves),
+        media_sections(unlit),
         _detail(drawn, facts, world, aim),
     )
 

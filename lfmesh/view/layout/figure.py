@@ -25,6 +25,7 @@ from lfmesh.scene import Scene
 from lfmesh.scene.first_order.report import STANDARD
 from lfmesh.view.figure_file import checked_kind, encoded_figure
 from lfmesh.view.layout.content import Bundle, Dimension, Layout, TargetSection, layout
+from lfmesh.view.layout.media_sections import MediumSection
 from lfmesh.view.layout.sections import in_section
 from lfmesh.view.layout.sheet import (
     LARGE,
@@ -49,6 +50,9 @@ GAP_IN = 0.12
 
 LENSLET_COLOURS = ("#6f93c4", FIELD_COLOURS[0], "#6f93c4")
 GLASS, TARGET, DIFFRACTIVE = "#8fb8de", "#d9d2c5", "#8a4fb0"
+
+EVERYWHERE, BODY = 0.15, 0.3
+"""Opacity of a uniform medium without bounds, and of one with bounds."""
 
 
 LEAD = 0.35
@@ -118,6 +122,7 @@ def sheet_figure(drawn: Layout) -> Figure:
     bottom = MARGIN_IN + TITLE_BLOCK_IN + GAP_IN
     lower = top - MAIN_IN - GAP_IN - bottom
     if _object_reach(drawn) is None:
+        _describe_media(sheet, drawn, (x, top - MAIN_IN, inner, MAIN_IN))
         _detail_view(sheet, drawn, (x, bottom, inner, lower))
     else:
         half = 0.5 * (inner - GAP_IN)
@@ -164,6 +169,7 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
         title += "; rays in " + ", ".join(f"{each.orders} of {label(each.name)}" for each in drawn.diffractive)
     view = View(sheet, place, window, Bands(bottom=0.6, top=0.55, right=0.35), title)
     view.axis()
+    _draw_media(view, drawn.media, window)
     _draw_targets(view, drawn.targets)
     _draw_lens(view, drawn)
     view.rays(drawn.bundles, FIELD_COLOURS, 0.7)
@@ -246,6 +252,21 @@ def _draw_targets(view: View, targets: Sequence[TargetSection]) -> None:
             view.lines(target.lines, linewidths=1.4, zorder=2)
 
 
+def _draw_media(view: View, media: Sequence[MediumSection], window: tuple[float, float, float, float]) -> None:
+    """Draw media: as pictures of their amounts, or as areas; one without bounds over all space before the lens."""
+    for section in media:
+        colour = section.medium.colour
+        if section.amounts is not None:
+            view.picture(section.amounts, section.window, colour)
+        elif section.is_everywhere:
+            low, high = window[2:]
+            everywhere = np.array([[window[0], low], [0.0, low], [0.0, high], [window[0], high]])
+            view.area(everywhere, fc=colour, ec="none", alpha=EVERYWHERE, zorder=1.0)
+        for line in section.lines:
+            face = (*mpl.colors.to_rgb(colour), 0.0 if section.amounts is not None else BODY)
+            view.area(line, fc=face, ec=colour, lw=0.6, ls=":", zorder=1.1)
+
+
 def _mark_detail(view: View, drawn: Layout) -> None:
     """Draw the frame of the close-up, labelled A."""
     z0, z1, y0, y1 = drawn.detail.window
@@ -261,17 +282,48 @@ def _mark_detail(view: View, drawn: Layout) -> None:
 
 def _object_reach(drawn: Layout) -> float | None:
     """Return how far the object side extends before the lens, mm; None if it is empty."""
-    ends = [-float(line[:, 0].min()) for target in drawn.targets for line in target.lines]
+    ends = [-float(line[:, 0].min()) for line in _object_lines(drawn)]
     if 0.0 < drawn.distance_mm < math.inf:
         ends.append(drawn.distance_mm)
     return max(ends, default=None) if ends and max(ends) > 0.0 else None
+
+
+def _object_lines(drawn: Layout) -> list[Array]:
+    """Return the lines that the object side must show: of targets, and of media before or beside which these end.
+
+    Fog that reaches far behind the targets would make them small, so its ends need not be seen.
+    """
+    lines = [line for target in drawn.targets for line in target.lines]
+    sides = float(np.abs(np.concatenate([*lines, *_lens_lines(drawn)])[:, 1]).max())
+    farthest = min((float(line[:, 0].min()) for line in lines), default=0.0)
+    for section in drawn.media:
+        if section.lines:
+            points = np.concatenate(section.lines)
+            is_seen = points[:, 0].max() > farthest and points[:, 1].max() > -sides and points[:, 1].min() < sides
+            lines += [] if is_seen else section.lines
+    return lines
+
+
+def _media_names(
+    media: Sequence[MediumSection], window: tuple[float, float, float, float]
+) -> list[tuple[float, float, str]]:
+    """Return z, y and names of media with a body, within the range of z of a view."""
+    tops = [(*_top(section.lines), section.medium.name) for section in media if section.lines]
+    return [(float(np.clip(z, window[0], window[1])), y, name) for z, y, name in tops]
+
+
+def _describe_media(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, float]) -> None:
+    """Write names and amounts of the media at the bottom of a view."""
+    if drawn.media:
+        words, size = sheet.fitted("; ".join(section.in_words for section in drawn.media), place[2], SMALL)
+        sheet.text(place[0], place[1] + 0.04, words, size, color=GREY)
 
 
 def _object_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, float]) -> None:
     """Draw everything from the farthest target to the sensor."""
     reach = _object_reach(drawn) or 1.0
     outlines = _lens_lines(drawn)
-    sections = [line for target in drawn.targets for line in target.lines]
+    sections = _object_lines(drawn)
     back = float(max(drawn.sensor[:, 0].max(), *(line[:, 0].max() for line in outlines)))
     finite = 0.0 < drawn.distance_mm < math.inf
     field = max(abs(b.slope) for b in drawn.bundles) * drawn.distance_mm if finite else 0.0
@@ -282,10 +334,13 @@ def _object_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, 
     window = -reach - 0.03 * long, back + 0.03 * long, -1.08 * tall, 1.08 * tall
     view = View(sheet, place, window, Bands(bottom=0.75, top=0.6), "Object side")
     view.axis()
+    _draw_media(view, drawn.media, window)
     _draw_targets(view, drawn.targets)
     _draw_lens(view, drawn, 0.4)
     view.rays(drawn.bundles, FIELD_COLOURS, 0.5)
     names = [(*_top(t.lines), t.name) for t in drawn.targets]
+    names += _media_names(drawn.media, window)
+    _describe_media(sheet, drawn, place)
     names.append((*_top(outlines), "camera"))
     dimensions = []
     if finite:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.text import Text
@@ -179,6 +180,27 @@ class View:
         """Fill a closed outline."""
         drawn = Polygon(self.points(line), **{"closed": True, "ec": INK, "lw": 0.7, **style})
         self.sheet.axes.add_patch(drawn)
+        drawn.set_clip_path(self.clip)
+
+    def picture(self, values: Array, window: tuple[float, float, float, float], colour: str) -> None:
+        """Draw values from 0 to 1 as the opacity of a colour, clipped to the view; nothing beside it.
+
+        Parameters
+        ----------
+        values : (h, w) float64
+            From the lowest y and z on.
+        window : tuple of float
+            z from and to, y from and to, mm.
+        colour : str
+        """
+        (x0, low), (x1, high) = self.at(window[0], window[2]), self.at(window[1], window[3])
+        if x1 < self.left or x0 > self.right or high < self.low or low > self.high:
+            return
+        shown = np.empty((*values.shape, 4))
+        shown[..., :3], shown[..., 3] = to_rgb(colour), values
+        drawn = self.sheet.axes.imshow(
+            shown, extent=(x0, x1, low, high), origin="lower", aspect="auto", interpolation="bilinear", zorder=1.1
+        )
         drawn.set_clip_path(self.clip)
 
     def rays(self, bundles: Sequence[Bundle], colours: Sequence[str], width: float) -> None:

@@ -12,6 +12,7 @@ from lfmesh.scene.first_order.phase_lines import least_period_mm
 from lfmesh.scene.light.spectra import Spectrum, spectral_in_words
 from lfmesh.scene.model import Model
 from lfmesh.transport.world import World
+from lfmesh.view.media import shown_medium
 from lfmesh.view.rays.names import label, lens_names
 
 Rows = list[tuple[str, str]]
@@ -242,8 +243,10 @@ def _medium_round(world: World, number: int) -> Rows:
     medium, outside = world.scene.media[number], world.lens_shape.media[0]
     keys = ("absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr")
     values = [(key, getattr(medium, key)) for key in keys]
+    shown = shown_medium(world, number)
     return [
-        ("medium", medium.name or f"media[{number}]"),
+        ("medium", shown.name),
+        ("effect", shown.amounts),
         ("inside", medium.inside or ("air" if outside is None else _medium(world, outside))),
         *((key, spectral_in_words(value)) for key, value in values if value),
         *([("bounds", medium.bounds.kind), *_fields(medium.bounds)] if medium.bounds is not None else []),

@@ -1,5 +1,6 @@
 """Text over the picture: title, caption, legend, and a scale bar that follows the zoom."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib as mpl
@@ -8,10 +9,11 @@ import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor, vtkTextRenderer
 
 from lfmesh.view.scene3d.colours import BACKGROUND, FAINT_TEXT, TEXT, Legend
 from lfmesh.view.scene3d.parts import round_length
+from lfmesh.view.scene3d.projection import projection_matrix
 
 _FONTS = Path(mpl.get_data_path()) / "fonts" / "ttf"
 FONT, FONT_OF_COLUMNS = _FONTS / "DejaVuSans.ttf", _FONTS / "DejaVuSansMono.ttf"
@@ -20,22 +22,57 @@ FONT, FONT_OF_COLUMNS = _FONTS / "DejaVuSans.ttf", _FONTS / "DejaVuSansMono.ttf"
 LINE = 1.55
 """Line spacing relative to the text size."""
 
+DPI = 72
+"""VTK's dots per inch: sizes of text are in pixels."""
+
+BORDER = 0.01
+"""Room between a name and the border of the picture, relative to the picture's size."""
+
+APART = 1.2
+"""Distance of names, relative to their size."""
+
 BAR_PX = 220
 """Longest scale bar in a picture 1000 pixels high."""
 
 
+@dataclass(frozen=True)
+class Name:
+    """Name of a body.
+
+    Attributes
+    ----------
+    text : vtkTextActor
+    size_px : (width, height)
+    points : (9, 4) float64
+        Its place, and the corners of a box round the body, homogeneous, mm, world frame.
+    """
+
+    text: vtkTextActor
+    size_px: NDArray[np.float64]
+    points: NDArray[np.float64]
+
+
 class Overlay:
-    """Text and scale bar of one plotter."""
+    """Text and scale bar of one plotter.
+
+    Attributes
+    ----------
+    names : list of Name
+    """
 
     def __init__(self, plotter: pv.Plotter) -> None:
         self._plotter = plotter
         self._texts: list[vtkTextActor] = []
         self._told: list[vtkTextActor] = []
+        self.names: list[Name] = []
+        self._shows_names = True
+        self._caption_end = np.array([0.0, 1.0])
         self._mark = vtkTextActor()
         self._scale = plotter.window_size[1] / 1000.0
         self._bar, self.bar_text, self.bar_points = self._scale_bar()
-        # Measure just before every picture, whatever moved the camera.
+        # Just before every picture, whatever moved the camera.
         plotter.renderer.AddObserver("StartEvent", lambda *_: self._measure())
+        plotter.renderer.AddObserver("StartEvent", lambda *_: self._place_names())
 
     def write(self, title: str, caption: list[str], legend: Legend | None) -> None:
         """Replace the text.
@@ -55,6 +92,8 @@ class Overlay:
         for line in caption:
             self._texts.append(self._text(line, 15, (0.015, below), FAINT_TEXT, top=True))
             below -= 15 * LINE * self._scale / height
+        wide = max(_size_px(text)[0] for text in self._texts)
+        self._caption_end = np.array([0.015 + wide / self._plotter.window_size[0], below])
         if legend is not None and legend.entries:
             top = 0.985
             for label, colour in ((legend.title, TEXT), *legend.entries):
@@ -63,6 +102,7 @@ class Overlay:
 
     def only_scale(self, on: bool) -> None:
         """Show only the scale bar, enlarged, or everything again."""
+        self._shows_names = not on
         for text in (*self._texts, *self._told):
             text.SetVisibility(not on)
         self.bar_text.GetTextProperty().SetFontSize(round((2.4 if on else 1.0) * 15 * self._scale))
@@ -79,6 +119,23 @@ class Overlay:
     def unmark(self) -> None:
         """Remove the text of `mark`."""
         self._plotter.renderer.RemoveViewProp(self._mark)
+
+    def name(self, words: str, place_mm: NDArray[np.float64], corners_mm: NDArray[np.float64]) -> None:
+        """Write a name above a point of a body in all pictures that show the body.
+
+        A name whose point is outside the picture stands at the picture's border.
+
+        Parameters
+        ----------
+        words : str
+        place_mm : (3,) float64, world frame
+        corners_mm : (8, 3) float64, world frame
+            Corners of a box round the body.
+        """
+        text = self._text(words, 15, (0.0, 0.0), TEXT)
+        text.GetTextProperty().SetJustificationToCentered()
+        points = np.column_stack([np.vstack([place_mm, corners_mm]), np.ones(1 + len(corners_mm))])
+        self.names.append(Name(text, _size_px(text), points))
 
     def tell(self, lines: list[str]) -> None:
         """Replace the text at the bottom."""
@@ -113,6 +170,30 @@ class Overlay:
             look.SetJustificationToRight()
         self._plotter.renderer.AddViewProp(text)
         return text
+
+    def _place_names(self) -> None:
+        """Move each name above its point, within the picture and clear of the names before it."""
+        if not self.names:
+            return
+        size = np.array(self._plotter.window_size, dtype=np.float64)
+        matrix = projection_matrix(self._plotter)
+        taken: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+        for name in self.names:
+            place = _in_picture(name.points @ matrix.T) if self._shows_names else None
+            name.text.SetVisibility(place is not None)
+            if place is None:
+                continue
+            half, high = 0.5 * name.size_px[0], name.size_px[1]
+            border = BORDER * size
+            middle = 0.5 * (place + 1.0) * size
+            middle[0] = np.clip(middle[0], border[0] + half, size[0] - border[0] - half)
+            beside_caption = middle[0] - half > self._caption_end[0] * size[0]
+            top = size[1] - border[1] if beside_caption else self._caption_end[1] * size[1]
+            middle[1] = np.clip(middle[1], border[1], top - high)
+            while any((np.abs(middle - other) < 0.5 * APART * (name.size_px + wide)).all() for other, wide in taken):
+                middle[1] -= APART * name.size_px[1]
+            taken.append((middle, name.size_px))
+            name.text.SetPosition(*(middle / size))
 
     def _scale_bar(self) -> tuple[vtkActor2D, vtkTextActor, vtkPoints]:
         points, lines, data = vtkPoints(), vtkCellArray(), vtkPolyData()
@@ -154,6 +235,35 @@ class Overlay:
         self.bar_points.Modified()
         place = "" if camera.parallel_projection else " at the middle of the view"
         self.bar_text.SetInput(f"{in_words(length)}{place}")
+
+
+def _size_px(text: vtkTextActor) -> NDArray[np.float64]:
+    """Return the width and height of a text in pixels."""
+    box = [0, 0, 0, 0]
+    vtkTextRenderer.GetInstance().GetBoundingBox(text.GetTextProperty(), text.GetInput(), box, DPI)
+    return np.maximum([box[1] - box[0], box[3] - box[2]], 1.0)
+
+
+def _in_picture(points: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the place of the first of some points; None if the picture shows no part of the box of the others.
+
+    Parameters
+    ----------
+    points : (n, 4) float64
+        Homogeneous normalised device coordinates.
+
+    Returns
+    -------
+    (2,) float64
+        -1 to 1 across the picture, and beyond it.
+    """
+    before_eye = points[:, 3] > 0.0
+    # A corner is outside a border of the picture if x > w, and so on; a box all of whose corners are outside one is.
+    x, y, w = points[1:, 0], points[1:, 1], points[1:, 3]
+    if any((beyond > w).all() for beyond in (x, -x, y, -y)) or not before_eye[1:].any():
+        return None
+    # A point behind the eye has no place; its body surrounds the eye.
+    return np.asarray(points[0, :2] / points[0, 3]) if before_eye[0] else np.array([0.0, 1.0])
 
 
 def in_words(length_mm: float) -> str:

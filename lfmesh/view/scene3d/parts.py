@@ -21,11 +21,13 @@ from lfmesh.scene.light.region import Region
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import MlaTables
 from lfmesh.transport.world import World
+from lfmesh.view.media import shown_media
 from lfmesh.view.scene3d import array_shape
 from lfmesh.view.scene3d.array_shape import FINE, Detail
 from lfmesh.view.scene3d.base_colours import base_colours, paint
 from lfmesh.view.scene3d.colours import tint
 from lfmesh.view.scene3d.describe import lone_diffractive
+from lfmesh.view.scene3d.media_parts import bodies
 from lfmesh.view.scene3d.outlines import outline_of_medium, outline_of_sheet
 from lfmesh.view.scene3d.presets import chip_size_mm
 from lfmesh.view.scene3d.ray_lines import line_segments
@@ -407,12 +409,15 @@ def _particles(world: World) -> Iterator[Part]:
 
 
 def _media(world: World) -> Iterator[Part]:
-    """Yield the outlines of media with bounds or a grid."""
-    for number in range(len(world.scene.media)):
-        lines = outline_of_medium(world, number)
+    """Yield bodies and outlines of media with bounds or a grid."""
+    for number, medium in enumerate(shown_media(world)):
+        name, lines = f"media[{number}]", outline_of_medium(world, number)
         if len(lines):
-            look = {"color": "#d9a0ff", "line_width": 1, "lighting": False}
-            yield Part(f"media[{number}]", "medium", line_segments(lines), look)
+            look = {"color": medium.colour, "line_width": 1, "lighting": False}
+            yield Part(name, "medium", line_segments(lines), look)
+        for place, (body, opacity) in enumerate(bodies(medium), 1):
+            look = {"color": medium.colour, "opacity": opacity, "lighting": False}
+            yield Part(name, "medium", body, look, label=f"{name} shell {place}")
 
 
 def _spikes(centre: tuple[float, float, float], size: float) -> pv.PolyData:

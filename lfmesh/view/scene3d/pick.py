@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame as frames
 from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
 from lfmesh.view.scene3d.plotter import View
+from lfmesh.view.scene3d.projection import projection_matrix
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,8 @@ Picked = PickedRay | PickedPixel | PickedPart | None
 def pick(view: View, x: float, y: float) -> Picked:
     """Return the target of a click: the ray under it, else the nearest part.
 
-    The sensor is visible through the array, so where both are hit, the pixel is picked.
+    The sensor is visible through the array, so where both are hit, the pixel is picked. Everything is visible through
+    media, so one is picked only if nothing else is hit.
 
     Parameters
     ----------
@@ -83,7 +85,7 @@ def pick(view: View, x: float, y: float) -> Picked:
                 hits.append((distance, part))
     if not hits:
         return None
-    nearest = min(hits, key=lambda hit: hit[0])[1]
+    nearest = min(hits, key=lambda hit: (hit[1].kind == "medium", hit[0]))[1]
     if nearest.kind in ("array", "sensor") and (pixel := pixel_at(view, x, y)):
         return pixel
     return PickedPart(nearest.name, nearest.kind)
@@ -172,7 +174,7 @@ def eye_ray(view: View, x: float, y: float) -> tuple[Array, Array]:
     """
     width, height = view.plotter.window_size
     ndc = np.array([2.0 * x / width - 1.0, 1.0 - 2.0 * y / height])
-    ends = np.array([[*ndc, -1.0, 1.0], [*ndc, 1.0, 1.0]]) @ np.linalg.inv(_matrix(view)).T
+    ends = np.array([[*ndc, -1.0, 1.0], [*ndc, 1.0, 1.0]]) @ np.linalg.inv(projection_matrix(view.plotter)).T
     near, far = ends[:, :3] / ends[:, 3:]
     return near, (far - near) / np.linalg.norm(far - near)
 
@@ -201,19 +203,12 @@ def first_hit(origin: Array, direction: Array, corners: Array) -> float:
     return float(t[met].min(initial=np.inf))
 
 
-def _matrix(view: View) -> Array:
-    """Return the (4, 4) matrix from the world to normalised device coordinates."""
-    width, height = view.plotter.window_size
-    matrix = view.plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1.0, 1.0)
-    return np.array([[matrix.GetElement(i, j) for j in range(4)] for i in range(4)])
-
-
 def _projected(view: View, ends: Array) -> tuple[Array, Array]:
     """Return the picture positions (n, k, 2) and depths (n, k) of points (n, k, 3).
 
     A segment that extends behind the eye is cut there.
     """
-    clip = np.concatenate([ends, np.ones((*ends.shape[:2], 1))], axis=2) @ _matrix(view).T
+    clip = np.concatenate([ends, np.ones((*ends.shape[:2], 1))], axis=2) @ projection_matrix(view.plotter).T
     w = clip[..., 3]
     if ends.shape[1] == 2 and not view.plotter.camera.parallel_projection:
         nearest = 1e-9 * np.abs(w).max(initial=1.0)

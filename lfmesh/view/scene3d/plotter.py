@@ -11,12 +11,13 @@ from vtkmodules.vtkRenderingCore import vtkMapper, vtkProp
 from lfmesh.geometry import frame as frames
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
+from lfmesh.view.media import shown_media
 from lfmesh.view.scene3d.array_shape import FINE, Detail
 from lfmesh.view.scene3d.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend, default_colour
 from lfmesh.view.scene3d.gl import expect_no_display
 from lfmesh.view.scene3d.overlay import Overlay, in_words
 from lfmesh.view.scene3d.parts import Part, Picture, parts, smooth, texture_of, tick_mm
-from lfmesh.view.scene3d.presets import ANGLE_DEG, PRESETS, viewpoint
+from lfmesh.view.scene3d.presets import ANGLE_DEG, PRESETS, box_corners, viewpoint
 from lfmesh.view.scene3d.ray_lines import MOST_SEGMENTS, RayLines, ray_lines
 
 if TYPE_CHECKING:
@@ -35,6 +36,12 @@ CORNER = 0.8
 
 SAMPLES = 8
 """Samples per pixel in pictures."""
+
+MOST_NAMED = 6
+"""Most media in names and in the caption."""
+
+SAME_HEIGHT = 1e-6
+"""Difference in height of two points of the same edge, relative to the height of a body."""
 
 CUT_KINDS = ("glass", "mount", "stop", "array")
 """Kinds of parts opened by the cut; sensor, targets and rays stay whole."""
@@ -88,6 +95,8 @@ class View:
         self.plotter.renderer.AddObserver("StartEvent", lambda *_: self._move_near_plane())
         self.plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color="white", line_width=2)
         self.overlay = Overlay(self.plotter)
+        self._media = shown_media(world)
+        self._name_media()
         self._draw_parts()
         self.look(self.preset)
 
@@ -181,8 +190,12 @@ class View:
                 )  # fmt: skip
 
     def write(self, lines: list[str]) -> None:
-        """Write the title and a caption over the picture: description and number of the drawn rays."""
-        self.caption = [*lines, self.lines.caption] if self.lines is not None else list(lines)
+        """Write the title and a caption over the picture: description and number of the drawn rays, and media."""
+        drawn = [self.lines.caption] if self.lines is not None else []
+        self.caption = [*lines, *drawn, *(medium.in_words for medium in self._media[:MOST_NAMED])]
+        more = len(self._media) - MOST_NAMED
+        if more > 0:
+            self.caption.append(f"and {more} more {'medium' if more == 1 else 'media'}")
         self.overlay.write(self.title, [*self.caption, self.scale], self.legend)
 
     def smooth(self, on: bool) -> None:
@@ -201,6 +214,16 @@ class View:
         """Return the drawn mesh of every part, whole or cut."""
         return [(part, self._shown(part)) for part in self._parts]
 
+    def _name_media(self) -> None:
+        """Write the names of media with a body at their tops."""
+        up = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME][:, 1]
+        for medium in self._media[:MOST_NAMED]:
+            if medium.body is not None:
+                corners = np.asarray(medium.body.vertices)
+                height = corners @ up
+                highest = corners[height >= height.max() - SAME_HEIGHT * np.ptp(height)]
+                self.overlay.name(medium.name, highest.mean(axis=0), box_corners(corners))
+
     def _eye(self) -> tuple[Any, ...]:
         camera = self.plotter.camera
         return camera.position, camera.focal_point, camera.up, camera.parallel_scale
@@ -218,6 +241,9 @@ class View:
         eye = np.array(camera.position)
         boxes = np.array([part.mesh.bounds for part in self._parts]).reshape(-1, 3, 2)
         beside = np.maximum(0.0, np.maximum(boxes[..., 0] - eye, eye - boxes[..., 1]))
+        # The eye may be inside a medium, which has nothing to show there.
+        is_medium = np.array([part.kind == "medium" for part in self._parts])
+        beside = beside[beside.any(axis=1) | ~is_medium]
         near, far = camera.clipping_range
         # Depth along the view axis is less than the distance to a box at the picture's corners.
         camera.clipping_range = (max(near, 0.5 * CORNER * float(np.linalg.norm(beside, axis=1).min())), far)

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.transport.collisions import far_end_mm
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
+from lfmesh.view.media import media_bodies
 
 Array = NDArray[np.float64]
 
@@ -165,6 +165,11 @@ def _box(low: ArrayLike, high: ArrayLike) -> Array:
     return np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
 
 
+def box_corners(points: Array) -> Array:
+    """Return the (8, 3) corners of the box round points (n, 3)."""
+    return _box(points.min(axis=0), points.max(axis=0))
+
+
 def _lens(world: World) -> Array:
     shape = world.lens_shape
     rim = max(shape.rims)
@@ -199,9 +204,17 @@ def _camera(world: World) -> Array:
 
 
 def _object(world: World) -> Array:
-    """Return points of the object: the targets as far as the camera sees them, or its field in the plane of focus."""
-    seen = [points for target in world.targets if len(points := _in_field(world, target))]
+    """Return points of the object: targets and media, as far as the camera sees them, or its field in focus."""
     distance = world.facts.object_distance_mm
+    to_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
+    seen = [_in_field(world, frames.points(to_camera, target.mesh.vertices)) for target in world.targets]
+    farthest = min((float(points[:, 2].min()) for points in seen), default=-np.inf)
+    for body in media_bodies(world):
+        points = frames.points(to_camera, body.vertices)
+        # Fog may reach far behind the targets, and would make them small.
+        low = farthest if points[:, 2].max() > farthest else -np.inf
+        points[:, 2] = np.maximum(points[:, 2], low)
+        seen.append(_in_field(world, points))
     if seen:
         return np.concatenate(seen)
     if 0.0 < distance < np.inf:
@@ -212,9 +225,9 @@ def _object(world: World) -> Array:
     return _box([-rim, -rim, -WITHOUT_OBJECT * length], [rim, rim, -WITHOUT_OBJECT * length])
 
 
-def _in_field(world: World, target: TargetMesh) -> Array:
-    """Return the corners of a target's box, moved to the border of the field of view if outside."""
-    points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)
+def _in_field(world: World, points: Array) -> Array:
+    """Return the corners of a box round points (n, 3), camera frame, moved to the border of the field if outside."""
+    points = points.copy()
     z = np.clip(points[:, 2], -np.inf, 0.0)
     distance = world.facts.object_distance_mm
     widest = np.array(world.facts.field_of_view_mm)
@@ -225,7 +238,7 @@ def _in_field(world: World, target: TargetMesh) -> Array:
         slope = 0.5 * np.array(world.scene.camera.sensor.size_mm) / abs(focal)
         half = FIELDS * slope * -z[:, None] + max(world.lens_shape.rims)
     points[:, :2] = np.clip(points[:, :2], -half, half)
-    return _box(points.min(axis=0), points.max(axis=0))
+    return box_corners(points)
 
 
 def _near_lenslets(world: World, near_mm: tuple[float, float]) -> Array:

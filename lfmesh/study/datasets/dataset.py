@@ -359,6 +359,7 @@ class _Making:
         self.dataset, self.folder, self.progress = dataset, folder, progress
         self.failed: dict[int, str] = {}
         self.began, self.done, self.new = time.perf_counter(), 0, 0
+        self.workers, self.later_seconds = 1, list[float]()
         try:
             folder.mkdir(parents=True, exist_ok=True)
             recover(folder)
@@ -394,6 +395,7 @@ class _Making:
         self._log("started", items=len(items), missing=len(missing), shard=shard)
         self._say(len(items))
         workers = default_workers(len(missing)) if workers is None else workers
+        self.workers = max(1, min(workers, len(missing)))
         threads = max(1, cores() // max(workers, 1))
         try:
             able = self._with_cameras(missing)
@@ -401,6 +403,8 @@ class _Making:
             for result in in_pool(jobs, workers) if workers else here(jobs):
                 number = result.unit.point
                 self.new += 1
+                if not result.is_first:
+                    self.later_seconds.append(result.seconds)
                 if result.content is None:
                     self._fail(number, result.reason)
                 else:
@@ -471,4 +475,8 @@ class _Making:
     def _say(self, total: int) -> None:
         if self.progress is not None:
             seconds = time.perf_counter() - self.began
-            self.progress(Progress(self.done, total, self.new, len(self.failed), seconds))
+            start = seconds
+            if self.later_seconds:
+                each = sum(self.later_seconds) / len(self.later_seconds) / self.workers
+                start = max(0.0, seconds - each * self.new)
+            self.progress(Progress(self.done, total, self.new, len(self.failed), seconds, start_seconds=start))

@@ -3,6 +3,7 @@
 import multiprocessing as mp
 import os
 import signal
+import time
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -46,18 +47,27 @@ class Result:
         Reason if there is none, or "".
     deaths : int
         Number of processes that died while computing it.
+    seconds : float
+        Time from asking for the unit to its outcome.
+    is_first : bool
+        True for the first unit of a process, whose time has the start of the process and the compiling of kernels.
     """
 
     unit: Work
     content: bytes | None
     reason: str = ""
     deaths: int = 0
+    seconds: float = 0.0
+    is_first: bool = False
 
 
 def here(units: Iterable[tuple[Work, Path]]) -> Iterator[Result]:
     """Compute units in this process, one after the other."""
+    began, is_first = time.perf_counter(), True
     for unit, reference in units:
-        yield Result(unit, *computed(unit, reference))
+        content, reason = computed(unit, reference)
+        yield Result(unit, content, reason, seconds=time.perf_counter() - began, is_first=is_first)
+        began, is_first = time.perf_counter(), False
 
 
 def computed(unit: Work, reference: Path | bytes) -> tuple[bytes | None, str]:
@@ -74,6 +84,8 @@ class _Worker:
     process: Any
     pipe: Connection
     unit: tuple[Work, Path] | None = None
+    began: float = 0.0
+    is_new: bool = True
 
 
 def in_pool(units: Iterable[tuple[Work, Path]], workers: int) -> Iterator[Result]:
@@ -95,6 +107,7 @@ def in_pool(units: Iterable[tuple[Work, Path]], workers: int) -> Iterator[Result
         return again.popleft() if again else next(waiting, None)
 
     def give_work(worker: _Worker) -> None:
+        worker.began = time.perf_counter()
         worker.unit = next_job()
         if worker.unit is not None:
             # If the process has died meanwhile, this is noticed below.
@@ -134,8 +147,10 @@ def in_pool(units: Iterable[tuple[Work, Path]], workers: int) -> Iterator[Result
                     else:
                         yield Result(job[0], None, _death_in_words(worker.process.exitcode), deaths[key])
                     continue
+                seconds, is_first = time.perf_counter() - worker.began, worker.is_new
+                worker.is_new = False
                 give_work(worker)
-                yield Result(job[0], content, reason, deaths.get(key, 0))
+                yield Result(job[0], content, reason, deaths.get(key, 0), seconds, is_first)
     finally:
         for worker in team:
             _end(worker)

@@ -27,6 +27,8 @@ class Progress:
         Best and worst point by the first metric, in words, or "".
     size_left : float
         Mean number of cameras in the remaining units, over that in the units of this run.
+    start_seconds : float
+        Part of `seconds` in which processes started and kernels were compiled, which the remaining units do not need.
     """
 
     done: int
@@ -37,11 +39,19 @@ class Progress:
     best: str = ""
     worst: str = ""
     size_left: float = 1.0
+    start_seconds: float = 0.0
+
+    @property
+    def unit_seconds(self) -> float | None:
+        """Time of this run per unit without its start; None if the units took no other time."""
+        working = self.seconds - self.start_seconds
+        return working / self.new if self.new and working > 0.0 else None
 
     @property
     def seconds_left(self) -> float | None:
         """Remaining time at the rate of this run."""
-        return self.seconds / self.new * (self.total - self.done) * self.size_left if self.new else None
+        each = self.unit_seconds
+        return each * (self.total - self.done) * self.size_left if each is not None else None
 
     def in_words(self, things: str, failing: str) -> str:
         """Return the progress in words.
@@ -52,8 +62,8 @@ class Progress:
             Noun for the units counted, in the plural, and for one that may fail.
         """
         words = f"{self.done} of {self.total} {things}"
-        if self.new and self.seconds:
-            words += f", {60.0 * self.new / self.seconds:.3g} per minute"
+        if self.unit_seconds is not None:
+            words += f", {60.0 / self.unit_seconds:.3g} per minute"
         if self.seconds_left is not None:
             words += f", {duration(self.seconds_left)} left"
         if self.failed:

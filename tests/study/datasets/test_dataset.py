@@ -4,6 +4,7 @@ import json
 import shutil
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ from scipy.stats import kstest, norm, uniform
 import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.files import exr, run
+from lfmesh.study.datasets import dataset as dataset_module
+from lfmesh.study.datasets.dataset_item import Item
+from lfmesh.study.sweeps import pool
 from tests.cameras import SQUARE_ARRAY
 from tests.study.studies import small_scene
 
@@ -79,6 +83,29 @@ def numbers(draw: dict[str, Any], count: int, seed: int = 0) -> list[float]:
 def test_draws_have_their_distribution(draw: dict[str, Any], law: Any) -> None:
     """Kolmogorov and Smirnov's test of 2000 draws, at a level of 1e-4."""
     assert kstest(numbers(draw, 2000), law.cdf).pvalue > 1e-4
+
+
+def test_the_time_left_of_a_dataset_leaves_out_the_first_item_which_compiles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first item takes 300 s and the others 10 s; a clock of the test says so."""
+    clock = [0.0]
+
+    def compute(item: Item, _: Path) -> bytes:
+        clock[0] += 10.0 if item.point else 300.0
+        return b"{}"
+
+    time = SimpleNamespace(perf_counter=lambda: clock[0])
+    for module in (dataset_module, pool):
+        monkeypatch.setattr(module, "time", time)
+    monkeypatch.setattr(Item, "compute", compute)
+    told: list[Any] = []
+    draw = {"path": DEPTH, "uniform": (-70.0, -50.0)}
+    lf.Dataset(small_scene(), [draw], count=6, parts=[]).make(tmp_path, workers=0, progress=told.append)
+    assert [now.seconds for now in told] == [0.0, 300.0, 310.0, 320.0, 330.0, 340.0, 350.0]
+    assert [now.seconds_left for now in told] == pytest.approx([None, None, 40.0, 30.0, 20.0, 10.0, 0.0])
+    assert told[1].in_words("items", "item") == "1 of 6 items"
+    assert told[2].in_words("items", "item") == "2 of 6 items, 6 per minute, 40 s left"
 
 
 def test_items_do_not_depend_on_their_count_or_on_other_draws() -> None:

@@ -41,7 +41,7 @@ ROUNDINGS = 64
 CORRECTIONS = 12
 """Steps by Newton's method onto the face."""
 
-Height = Callable[[Array], tuple[Array, Array]]
+Height = Callable[[Any], tuple[Any, Any]]
 """Function from points (n, 3) to z minus the sag of a face, (n,), and its gradient, (n, 3)."""
 
 

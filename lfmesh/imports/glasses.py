@@ -26,6 +26,7 @@ from lfmesh.optics.glass import (
     refractive_index,
     successor,
 )
+from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.materials.own_glass import OwnGlass
 
 UNLIKE = 2e-3
@@ -37,8 +38,8 @@ SAME = 1e-4
 FORMULA_FROM_NM, FORMULA_STEP_NM, FORMULA_ROWS = 365.0, 5.0, 148
 """Tabulation of a dispersion formula from 365 to 1,100 nm, so dense that a spline is accurate to 1e-9."""
 
-Medium = float | str | OwnGlass
-"""Constant index, name of a catalogue glass, or a glass defined by its dispersion."""
+Medium = float | str | OwnGlass | Gradient
+"""Constant index, name of a catalogue glass, a glass defined by its dispersion, or gradient-index glass."""
 
 
 Stated = tuple[float, float | None]

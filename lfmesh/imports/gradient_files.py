@@ -13,7 +13,7 @@ Names differ in more than their case. Blank lines are skipped.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from lfmesh.errors import SceneError
 from lfmesh.imports.numbers import is_number, nanometres, number, numbers
@@ -58,7 +58,8 @@ class FileDispersion(NamedTuple):
         return {"reference_nm": self.reference_nm, **named}
 
 
-class FileRod(NamedTuple):
+@dataclass(frozen=True)
+class FileRod:
     """A SELFOC rod: B and C of its index, K₀ to K₂ of √A."""
 
     index: tuple[float, ...]
@@ -122,7 +123,7 @@ class GradientFiles:
         found: FileBlank = self._found(BLANKS, name, self.profiles)
         return found
 
-    def _found(self, kind: str, name: str, usual: str) -> "FileDispersion | FileRod | FileBlank":
+    def _found(self, kind: str, name: str, usual: str) -> Any:
         """Return a material of a kind, from the given files or the usual one beside the lens file."""
         tables = [table for path in self.given if (table := self._table(path)).kind == kind]
         beside = None if tables else self._beside(usual)

@@ -22,7 +22,7 @@ of its blank in PROFILE.GRD. No public file confirms that nâ‚€ of GRINSUR2 is nÂ
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 from lfmesh.imports import gradient_keys
 from lfmesh.imports.gradient_files import FileDispersion, MissingMaterialError
@@ -250,7 +250,7 @@ def _selfoc(lines: GradientLines, made: Prescription) -> GradientKeys | None:
     lines.zero([2, 3], _TILTED)
     lines.only_up_to(3)
     lines.in_mm_only(made)
-    return {"kind": "selfoc", **made.gradient_files.rod(lines.material)._asdict()}
+    return {"kind": "selfoc", **asdict(made.gradient_files.rod(lines.material))}
 
 
 def _gradient_10(lines: GradientLines, made: Prescription) -> GradientKeys | None:

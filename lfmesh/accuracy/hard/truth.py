@@ -259,12 +259,12 @@ def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLi
     index: Index = first_index
     for face in interfaces:
         if isinstance(index, GradientIndex):
-            met, d, _ = index.follow(p, d, face.above)
-            at = met - [0.0, 0.0, face.z]
+            met, turned, _ = index.follow(p, d, face.above)
+            at, d = met - [0.0, 0.0, face.z], np.asarray(turned, np.float64)
         else:
             at = face.meet(p, d)
         p = np.add(at, [0.0, 0.0, face.z])
-        n_i, n_t = index_at(index, p), index_at(face.index, p)
+        n_i, n_t = (np.asarray(index_at(each, p), np.float64) for each in (index, face.index))
         change = None if face.order is None else np.asarray(face.order.change(at), np.float64)
         d, share = refracted(d, face.normal(at), n_i, n_t, change)
         if face.order is not None:

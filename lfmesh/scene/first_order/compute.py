@@ -78,10 +78,8 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     # Distance from the exit pupil over its diameter: with 1 / (2 n' u') the f-number, 1 / (2 u').
     ratio = lens.image_index * f_number
     per_pupil = quotient(lens.from_stop.d / lens.image_index, lens.chief_height_mm(plane))
-    micro, focused = None, ()
-    if relay is None:
-        micro = micro_image(camera, wavelength, per_pupil, ratio)
-        focused = focused_lenslets(camera, wavelength, lens, quotient(1.0, ratio), per_pupil)
+    micro = micro_image(camera, wavelength, per_pupil, ratio) if relay is None else None
+    focused = focused_lenslets(camera, wavelength, lens, quotient(1.0, ratio), per_pupil) if relay is None else ()
     standard = micro is not None and not focused
     image, sample = plane, camera.mla.pitch_mm if camera.mla is not None and standard else camera.sensor.pixel_mm
     kind = STANDARD if standard else CONVENTIONAL

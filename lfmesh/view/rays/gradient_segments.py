@@ -7,7 +7,7 @@ A face is the number of a refracting surface of the lens, or `TO_LENS` or `TO_SE
 """
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,7 +99,8 @@ class GradientSegments(NamedTuple):
 
     def of(self, numbers: Ints) -> "GradientSegments":
         """Return some of the segments."""
-        return GradientSegments(self.space_behind, *(column[numbers] for column in self[1:]))
+        columns: dict[str, Any] = {name: getattr(self, name)[numbers] for name in self._fields[1:]}
+        return self._replace(**columns)
 
 
 def gradient_segments(world: World, vertices: Vertices) -> GradientSegments:

@@ -212,7 +212,10 @@ def _index(rays: Rays, vertex: int, medium: Medium, wavelength_nm: float, *, bey
     space = int(rays.gradients.space_behind[vertex - 1])
     on_face = name in (CURVED, BACK)
     if on_face or space == IN_ARRAY:
-        arriving = frames.directions(tables.frames[WORLD_FRAME, CAMERA_FRAME], [_arriving(rays, vertex)])
+        along = _arriving(rays, vertex)
+        arriving = frames.directions(
+            tables.frames[WORLD_FRAME, CAMERA_FRAME], np.zeros((1, 3)) if along is None else along[None]
+        )
         # A wall belongs to the cell that a path comes from.
         cell = rays.lenslet[vertex : vertex + 1] if on_face else cells_at(tables, point - NEAR_WALL_MM * arriving)
         return float(indices_in_cells(tables, cell, point)[0])

@@ -209,7 +209,7 @@ def _index(rays: Rays, vertex: int, medium: Medium, wavelength_nm: float, *, bey
         return refractive_index(medium, wavelength_nm)
     tables, name = at_wavelength(rays.world, wavelength_nm), rays.surfaces[rays.surface[vertex]]
     point = frames.points(tables.frames[WORLD_FRAME, CAMERA_FRAME], rays.position[vertex][None])
-    space = int(rays.gradients.space_behind[vertex - 1])
+    space, face = int(rays.gradients.space_behind[vertex]), int(rays.surface[vertex]) - 1
     on_face = name in (CURVED, BACK)
     if on_face or space == IN_ARRAY:
         along = _arriving(rays, vertex)
@@ -219,8 +219,8 @@ def _index(rays: Rays, vertex: int, medium: Medium, wavelength_nm: float, *, bey
         # A wall belongs to the cell that a path comes from.
         cell = rays.lenslet[vertex : vertex + 1] if on_face else cells_at(tables, point - NEAR_WALL_MM * arriving)
         return float(indices_in_cells(tables, cell, point)[0])
-    if beyond:
-        space = 2 * (int(rays.surface[vertex]) - 1) + 1 - space
+    if face < len(rays.world.lens_shape.surfaces) and beyond != (rays.event[vertex] == Event.TRANSMITTED):
+        space = 2 * face + 1 - space
     return float(indices_in(tables.lens, space, point)[0])
 
 

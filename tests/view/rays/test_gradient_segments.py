@@ -49,7 +49,7 @@ def world() -> lf.World:
 
 @pytest.fixture(scope="module")
 def rays(world: lf.World) -> Rays:
-    return from_field_point(world, POINT_MM, 40, aim="lens", weight_cutoff=0.0)
+    return from_field_point(world, POINT_MM, 60, aim="lens", weight_cutoff=1e-4)
 
 
 def index_at(points: Array) -> Array:
@@ -71,6 +71,7 @@ def image_path(rays: Rays) -> NDArray[np.int64]:
 def test_curves_are_those_of_the_closed_form_and_smooth(rays: Rays) -> None:
     paths = image_path(rays)
     assert len(paths) > 10
+    bulge = 0.0
     for path in paths:
         front = int(rays.offsets[path]) + 1
         before = rays.position[front] - rays.position[front - 1]
@@ -83,7 +84,8 @@ def test_curves_are_those_of_the_closed_form_and_smooth(rays: Rays) -> None:
         off = np.linalg.norm(middle[:, :2] - closed_form(curve[0], momentum, middle[:, 2]), axis=1)
         assert off.max() < FLATNESS * LENGTH_MM
         chord = curve[0] + (curve[:, 2:] - curve[0, 2]) / LENGTH_MM * (curve[-1] - curve[0])
-        assert np.linalg.norm(curve - chord, axis=1).max() > 100.0 * FLATNESS * LENGTH_MM, "no curve: no test of it"
+        bulge = max(bulge, float(np.linalg.norm(curve - chord, axis=1).max()))
+    assert bulge > 100.0 * FLATNESS * LENGTH_MM, "no curve: no test of it"
 
 
 def test_drawn_lines_have_the_points_of_the_curves(rays: Rays) -> None:
@@ -107,7 +109,7 @@ def test_drawn_lines_have_the_points_of_the_curves(rays: Rays) -> None:
 def test_a_history_states_the_index_at_each_vertex(world: lf.World, rays: Rays, from_sensor: bool) -> None:
     """Angles are those of the curve's tangents, and powers the products of Fresnel's shares, reflections included."""
     if from_sensor:
-        rays = from_pixels(world, range(98, 102), range(96, 104), 8, weight_cutoff=0.0)
+        rays = from_pixels(world, range(98, 102), range(96, 104), 8, weight_cutoff=1e-4)
     seen = dict.fromkeys((lf.Event.TRANSMITTED, lf.Event.REFLECTED), 0)
     for path in range(len(rays)):
         steps = history(rays, path)
@@ -118,8 +120,8 @@ def test_a_history_states_the_index_at_each_vertex(world: lf.World, rays: Rays, 
             assert step.index == pytest.approx(index_at(step.position_mm) if inside else 1.0, rel=1e-12)
             n_i = index_at(step.position_mm) if before.in_gradient else 1.0
             share = step.transmittance if step.event == lf.Event.TRANSMITTED else step.reflectance
-            assert step.power == pytest.approx(before.power * share, rel=1e-9)
-            assert step.roulette == pytest.approx(1.0, rel=1e-9)
+            assert step.power == pytest.approx(before.power * share * step.roulette, rel=1e-9)
+            assert step.roulette == pytest.approx(1.0, rel=1e-9) or step.power < 1e-3 * steps[0].power
             seen[step.event] += 1
             if step.event == lf.Event.TRANSMITTED and not inside and number < len(steps) - 1:
                 away = steps[number + 1].position_mm - step.position_mm
@@ -162,7 +164,7 @@ def test_segments_in_homogeneous_glass_stay_straight() -> None:
     rod_ = {"thickness_mm": 10.0, "semi_diameter_mm": 2.0,
             "gradient": {"kind": "axial", "index": 1.7, "coefficients": [-0.01]}}  # fmt: skip
     scene = rod().changed({"camera.lens.surfaces": [front, rod_, {"semi_diameter_mm": 2.5}]})
-    rays = from_field_point(lf.build(scene), POINT_MM, 20, aim="lens", weight_cutoff=0.0)
+    rays = from_field_point(lf.build(scene), POINT_MM, 20, aim="lens", weight_cutoff=1e-4)
     z = rays.position[:, 2]
     begins = np.flatnonzero((z[:-1] > 4.9) & (z[1:] > 4.9) & (z[:-1] < 15.1) & (z[1:] < 15.1))
     begins = begins[np.diff(rays.path)[begins] == 0]
@@ -175,9 +177,9 @@ ROD_G, ROD_MM = 0.9, 4.0
 """Gradient constant in 1/mm, and length of the rods of an array: more than half a pitch."""
 
 
-def rods(side: str, walls: str = "absorb") -> lf.Scene:
+def rods(side: str, walls: str = "absorb", g: float = ROD_G) -> lf.Scene:
     lens = {"surfaces": [{"paraxial": True, "focal_length_mm": 20.0, "stop": True, "semi_diameter_mm": 2.0}]}
-    gradient = {"kind": "radial_n2", "index": N0, "coefficients": [-ROD_G * ROD_G]}
+    gradient = {"kind": "radial_n2", "index": N0, "coefficients": [-g * g]}
     mla = {"count": [8, 8], "pitch_mm": 0.4, "thickness_mm": ROD_MM, "distance_mm": 22.0, "curved_side": side,
            "walls": walls, "gradient": gradient}  # fmt: skip
     sensor = {"pixels": [64, 64], "pixel_mm": 0.05, "distance_mm": 2.0}
@@ -191,12 +193,12 @@ def rods(side: str, walls: str = "absorb") -> lf.Scene:
 def test_curves_in_the_rods_of_an_array_are_those_of_the_closed_form(side: str) -> None:
     """About the axis of each rod, with the index of its own field at the vertices."""
     world = lf.build(rods(side))
-    rays = from_field_point(world, (0.3, -0.5, -200.0), 60, aim="lens", weight_cutoff=0.0)
+    rays = from_field_point(world, (0.3, -0.5, -200.0), 40, aim="lens", weight_cutoff=1e-2)
     mla = world.tables.mla
     flat = mla.lenslets.lattice.centres().reshape(-1, 2)
     centres = frames.points(world.tables.frames[mla.frame, WORLD_FRAME], np.pad(flat, ((0, 0), (0, 1))))[:, :2]
     found = 0
-    for number, vertex in enumerate(rays.gradients.vertex.tolist()):
+    for number, vertex in enumerate(rays.gradients.vertex[:60].tolist()):
         if rays.lenslet[vertex + 1] < 0 or rays.event[vertex] != lf.Event.TRANSMITTED:
             continue
         axis = np.append(centres[rays.lenslet[vertex]], 0.0)
@@ -218,8 +220,8 @@ def test_curves_in_the_rods_of_an_array_are_those_of_the_closed_form(side: str) 
 
 def test_a_curve_goes_on_behind_a_clear_wall() -> None:
     """Towards the axis of the next rod; both pieces end on the recorded vertices."""
-    world = lf.build(rods("lens", walls="clear"))
-    rays = from_field_point(world, (6.0, 0.0, -40.0), 80, aim="lens", weight_cutoff=0.0)
+    world = lf.build(rods("lens", walls="clear", g=0.3))
+    rays = from_field_point(world, (1.5, 0.5, -40.0), 80, aim="lens", weight_cutoff=1e-2)
     at, to = rays.lenslet[:-1], rays.lenslet[1:]
     crossing = np.flatnonzero((at >= 0) & (to >= 0) & (at != to) & np.isin(np.arange(len(at)), rays.gradients.vertex))
     assert len(crossing) > 0

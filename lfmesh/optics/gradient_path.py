@@ -118,14 +118,15 @@ def conic_height_at(face: Any, x: float, y: float, z: float) -> tuple[float, flo
 
 
 @inlined
-def _square(ray: GradientRay) -> float:
+def square(ray: GradientRay) -> float:
+    """Return |T|²."""
     return ray.tx * ray.tx + ray.ty * ray.ty + ray.tz * ray.tz
 
 
 @inlined
 def drift(ray: GradientRay, step: float) -> GradientRay:
     """Return a ray after a step in σ, mm, at constant T."""
-    square = _square(ray)
+    squared = square(ray)
     return GradientRay(
         fused(step, ray.tx, ray.x),
         fused(step, ray.ty, ray.y),
@@ -133,8 +134,8 @@ def drift(ray: GradientRay, step: float) -> GradientRay:
         ray.tx,
         ray.ty,
         ray.tz,
-        fused(0.5 * step, square, ray.path),
-        fused(step, np.sqrt(square), ray.length),
+        fused(0.5 * step, squared, ray.path),
+        fused(step, np.sqrt(squared), ray.length),
     )
 
 
@@ -278,7 +279,7 @@ def tracer(value_at: Any, height_at: Any) -> Any:
             # Of a plane in a medium that is constant along z, this is the exact length.
             count, length = steps, (z - ray.z) / ray.tz
         else:
-            count, length = max(steps // COARSENESS, 1), abs(z - ray.z) / np.sqrt(_square(ray))
+            count, length = max(steps // COARSENESS, 1), abs(z - ray.z) / np.sqrt(square(ray))
         low, high = 0.0, np.inf
         for _ in range(MOST_TRIALS):
             end = advance(field, number, ray, length / count, count)

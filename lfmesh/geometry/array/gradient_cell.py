@@ -12,9 +12,9 @@ from lfmesh.geometry.array.lattice import ROW_SPACING
 from lfmesh.geometry.array.lenslet_profile import profile_shape
 from lfmesh.geometry.array.lenslets import Lenslets, shape_of, type_of
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.optics.gradient_path import GradientRay
+from lfmesh.optics.gradient_path import GradientRay, drift, kicker
 from lfmesh.optics.gradient_walls import lander, wall_finder
-from lfmesh.optics.gradients import Gradients
+from lfmesh.optics.gradients import Gradients, field_at
 
 Array = NDArray[np.float64]
 
@@ -149,6 +149,17 @@ def _clearance_at(cell: Cell, wall: int, ray: GradientRay) -> tuple[float, float
 
 _find_wall = wall_finder(WALLS, _clearance_at)
 _land = lander(_height_at)
+_kick = kicker(field_at)
+
+
+@inlined
+def _onto_side(gradients: Gradients, number: int, cell: Cell, wall: int, ray: GradientRay) -> GradientRay:
+    """Return a ray close to a side of the cell moved onto it, which takes a single leapfrog step."""
+    clearance, rate = _clearance_at(cell, wall, ray)
+    change = -clearance / rate
+    if not abs(change) < np.inf:
+        return ray
+    return drift(_kick(gradients, number, drift(ray, 0.5 * change), change), 0.5 * change)
 
 
 @kernel
@@ -171,7 +182,9 @@ def follow_in_cell(
         Number of equal steps to a face; more for rays that need longer ones than `step`.
     """
     wall, end, length = _find_wall(gradients, number, ray, cell, step, steps)
-    if wall < FRONT or not length > 0.0:
+    if 0 <= wall < FRONT:
+        return wall, _onto_side(gradients, number, cell, wall, end)
+    if wall < 0 or not length > 0.0:
         return wall, end
     count = max(steps, int(np.ceil(length / step)))
     if wall == FRONT:

@@ -164,7 +164,7 @@ def test_rays_end_on_the_wall_that_their_curve_reaches_first(layout: str) -> Non
     on_wall = np.array([body in ("mla wall", "mla edge") for body in paths.body])
     assert on_wall.sum() > 100
     at = half_width(hexagonal, (paths.position[:, :2] - of.centre)[on_wall])
-    assert at == pytest.approx(0.5 * PITCH, abs=1e-9)
+    assert at == pytest.approx(0.5 * PITCH, abs=1e-14)
     depth = paths.position[on_wall, 2] - LENS_END - BEFORE
     assert ((depth > 0.0) & (depth < LENGTH)).all()
 
@@ -193,7 +193,7 @@ def test_packets_and_blocks_take_the_same_way(keys: dict[str, Any], monkeypatch:
         order = np.argsort(other.source, kind="stable")
         kept = np.isin(other.source[order], blocks.source)
         assert np.array_equal(blocks.source, other.source[order][kept])
-        assert np.abs(blocks.position - other.position[order][kept]).max() < ROUNDING * 10.0
+        assert np.abs(blocks.position - other.position[order][kept]).max() < 10.0 * ROUNDING
         assert np.abs(blocks.direction - other.direction[order][kept]).max() < ROUNDING
         assert np.abs(blocks.weight - other.weight[order][kept]).max() < ROUNDING
         assert blocks.body == [body for body, keep in zip(np.array(other.body)[order], kept, strict=True) if keep]
@@ -215,12 +215,19 @@ def test_without_coefficients_cells_are_those_of_a_homogeneous_plate(shape: dict
     one, other = traced(rods, of), traced(plate, of, record=True)
     at_wall = np.isin(np.array(one.body, dtype=object), ["mla wall", "mla edge"])
     assert 40 < at_wall.sum() < RAYS - 40
-    cells = np.array([half_width(rods.camera.mla.layout == "hexagonal", (
-        np.array([vertex.position[:2] for vertex in other.vertices(k) if vertex.surface.startswith("mla")])
-        - of.centre[k]
-    )).max() for k in range(RAYS)])  # fmt: skip
-    assert np.array_equal(at_wall, cells > 0.5 * PITCH)
-    kept = ~at_wall
+    hexagonal = rods.camera.mla is not None and rods.camera.mla.layout == "hexagonal"
+    widths: list[list[float]] = [[], []]
+    for k in range(RAYS):
+        met = np.array([vertex.position[:2] for vertex in other.vertices(k) if vertex.surface.startswith("mla")])
+        own = half_width(hexagonal, met - of.centre[k])
+        widths[0].append(own[0])
+        widths[1].append(own.max())
+    first, widest = np.array(widths)
+    # A curved face stands back from the plane of its apex, so that some rays meet the neighbour's.
+    enters = first < 0.5 * PITCH
+    assert enters.sum() > 0.9 * RAYS
+    assert np.array_equal(at_wall[enters], widest[enters] >= 0.5 * PITCH * (1.0 - ROUNDING))
+    kept = ~at_wall & enters
     off = 1e-8 if not shape else 1e-9  # mm; the plate without a radius has one of a million kilometres
     assert np.abs(one.position[kept] - other.position[kept]).max() < off
     assert one.weight[kept] == pytest.approx(other.weight[kept], rel=1e-8)
@@ -326,7 +333,7 @@ def test_forward_equals_adjoint(split: str, keys: dict[str, Any]) -> None:
         error = np.sqrt(np.square(image.stderr[:, :, 0]).reshape(2, 8, 2, 8).sum(axis=(1, 3))).ravel()
         sums.append(np.append(blocks, blocks.sum()))
         errors.append(np.append(error, np.sqrt(np.square(error).sum())))
-    assert np.hypot(*errors)[-1] < 0.02 * sums[0][-1]
+    assert np.hypot(*errors)[-1] < 0.03 * sums[0][-1]
     z = np.abs(sums[0] - sums[1]) / np.hypot(*errors)
     assert (z < stats.t.ppf(1.0 - LEVEL / (2 * len(z)), 15)).all(), z
 

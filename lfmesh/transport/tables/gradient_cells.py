@@ -29,6 +29,9 @@ SINES = (0.0, 0.3, 0.6, 0.95)
 TURNS = 4
 """Azimuths of the directions of probe rays."""
 
+TRIAL_STEPS, WIDER = 64, 1.25
+"""Steps of the trial that finds the probe rays that arrive, and factor on the cells in which these are compared."""
+
 STEEPEST = 0.95
 """Largest sine of an acceptance."""
 
@@ -119,12 +122,19 @@ def _of_wavelength(profile: GradientProfile, mla: MlaTables, outside: float) -> 
     rays = starting_rays(gradients, 0, points, np.column_stack([across, np.where(start == FRONT, along, -along)]))
     span = front.thickness / float((index * along).min())
 
-    def trace(steps: int) -> tuple[NDArray[np.bool_], Array]:
-        ends, walls = rays.copy(), np.zeros(len(rays), np.int64)
-        follow_rays_in_cell(gradients, 0, front, back, cells, ends, walls, span / steps, steps)
-        return (walls >= FRONT) & (walls != start), ends
+    def traced(some: NDArray[np.intp], by: float, steps: int) -> tuple[NDArray[np.bool_], Array]:
+        lattice = front.lattice._replace(pitch=by * front.lattice.pitch)
+        ends, walls = rays[some], np.zeros(len(some), np.int64)
+        follow_rays_in_cell(
+            gradients, 0, front._replace(lattice=lattice), back, cells[some], ends, walls, span / steps, steps
+        )  # fmt: skip
+        return (walls >= FRONT) & (walls != start[some]), ends
 
-    steps = steps_needed(trace, TOLERANCE_MM)
+    arriving = np.flatnonzero(traced(np.arange(len(rays)), 1.0, TRIAL_STEPS)[0])
+    if not len(arriving):
+        raise GlassError("no ray from one face of a lenslet reaches the other one")
+    # Rays that just pass a wall would pass it in some numbers of steps only.
+    steps = steps_needed(lambda count: traced(arriving, WIDER, count), TOLERANCE_MM)
     # A rod guides rays up to sin² θ = n² − n²(corner); straight rays are limited by its length.
     middle = float(squares[0])
     guided, straight = middle - squares.min(), middle * (2.0 * front.lattice.circumradius / front.thickness) ** 2

@@ -80,6 +80,14 @@ def test_a_row_of_a_table_that_has_changed_is_not_taken_for_another(panels: Any,
     assert "click its row again" in server.state.fault
 
 
+def test_the_caption_has_the_amounts_of_media_with_rays_and_without(panels: Any) -> None:
+    smoke = {"name": "smoke", "scattering_per_mm": 0.001}
+    world = lf.build(loads(SCENE).changed({"media": [smoke]}))
+    for rays in (None, launch.from_field_point(world, [0.0, 0.0, -190.0], 4, split="transmit")):
+        server, _ = panels(world, rays)
+        assert "smoke, everywhere before the camera, scatters 0.001 per mm" in server.state.drawn
+
+
 @pytest.mark.parametrize("split", ["transmit", "both"])
 def test_the_caption_says_whether_ghosts_are_among_the_rays(panels: Any, world: lf.World, split: str) -> None:
     server, _ = panels(world, launch.from_field_point(world, [0.0, 0.0, -190.0], 10, split=split))

@@ -9,8 +9,8 @@ from pydantic import Field
 from lfmesh.optics.glass import Medium
 from lfmesh.scene.camera.element import Element
 from lfmesh.scene.camera.file_choices import AS_IT_STANDS, FILE_CHOICES, FileChoices
+from lfmesh.scene.camera.gap_faults import gap_faults
 from lfmesh.scene.camera.gaps import least_gap_mm, rim_gap_mm, touching_mm
-from lfmesh.scene.camera.gradient_faults import gap_faults
 from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.literals import at_least
 from lfmesh.scene.materials.coatings import UNCOATED, Coating

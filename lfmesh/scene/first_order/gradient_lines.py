@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from lfmesh.optics.gradients import fields_at, gradient_table
 from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.first_order.paraxial import gradient_gap
 from lfmesh.scene.scene import Scene
@@ -31,6 +30,8 @@ def gradient_lines(scene: Scene) -> list[str]:
 
 
 def _in_words(gradient: Gradient, wavelength_nm: float, length_mm: float, rim_mm: float) -> str:
+    from lfmesh.optics.gradients import fields_at, gradient_table
+
     gap = gradient_gap(gradient, wavelength_nm, length_mm)
     table = gradient_table([gradient.profile(wavelength_nm)])
     with np.errstate(invalid="ignore"):

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lfmesh.optics.gradients import fields_at, gradient_table
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.lenslet_optics import lenslet_optics
 from lfmesh.scene.camera.mla import MicrolensArray
@@ -59,6 +58,8 @@ def relay_of(camera: Camera, wavelength_nm: float) -> Relay | None:
 
 def _f_number(mla: MicrolensArray, outside: float, wavelength_nm: float) -> float:
     """Return the f-number of the cone that a rod guides: sin² θ = n² − n²(p/2), with n on its axis."""
+    from lfmesh.optics.gradients import fields_at, gradient_table
+
     assert mla.gradient is not None
     table = gradient_table([mla.gradient.profile(wavelength_nm)])
     axis, side = fields_at(table, 0, [[0.0, 0.0, 0.0], [0.5 * mla.pitch_mm, 0.0, 0.0]])[:, 0]

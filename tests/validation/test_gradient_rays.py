@@ -243,7 +243,11 @@ def test_a_rod_of_one_pitch_images_its_front_onto_its_back() -> None:
 # Optical paths, by wavefronts
 
 
-def opd_mm(found: lf.Wavefront, law: Law, length: float, source: tuple[Any, Any]) -> list[float]:
+INSIDE = 1.0 - 1e-9
+"""Rays through the points of a wavefront pass this share of their distance from the centre of the stop."""
+
+
+def opd_mm(found: lf.Wavefront, law: Law, length: float, source: tuple[Any, Any], sense: int = 1) -> list[float]:
     """Return the optical path of the chief ray less that of each ray of a wavefront behind a plate, mm.
 
     Parameters
@@ -254,9 +258,11 @@ def opd_mm(found: lf.Wavefront, law: Law, length: float, source: tuple[Any, Any]
     length : float, mm
     source : (mpf, mpf), mm
         Height of the object point, and its distance before the plate.
+    sense : int
+        −1 if the exit pupil, and so the reference sphere, lies behind the image.
     """
     height, distance = source
-    centre, radius = [mp.mpf(float(c)) for c in found.image_mm], mp.mpf(found.radius_mm)
+    centre, radius = [mp.mpf(float(c)) for c in found.image_mm], sense * mp.mpf(found.radius_mm)
 
     def to_sphere(x: Any, y: Any) -> Any:
         step = [x, y - height, distance]
@@ -269,7 +275,7 @@ def opd_mm(found: lf.Wavefront, law: Law, length: float, source: tuple[Any, Any]
         return air + end.path - b - mp.sign(radius) * root
 
     chief = to_sphere(mp.mpf(0), mp.mpf(0))
-    return [float(chief - to_sphere(*(SEMI_OPEN * mp.mpf(float(c)) for c in point))) for point in found.pupil]
+    return [float(chief - to_sphere(*(INSIDE * SEMI_OPEN * mp.mpf(float(c)) for c in point))) for point in found.pupil]
 
 
 SEMI_OPEN = 1.0
@@ -295,9 +301,10 @@ def test_wavefronts_behind_a_plate_are_those_of_the_closed_form(medium: str, hei
 
 
 def test_the_wavefront_of_a_point_on_the_axis_of_a_hyperbolic_secant() -> None:
+    """The exit pupil lies L − tan(g L) / (n₀ g) = 14.93 mm behind the front, and behind the image."""
     found = waves_behind(secant_keys(), 6.0, 0.0, 4.0, 12.0)
     with mp.workdps(DIGITS):
-        truth = opd_mm(found, secant, 6.0, (mp.mpf(0), mp.mpf(4)))
+        truth = opd_mm(found, secant, 6.0, (mp.mpf(0), mp.mpf(4)), sense=-1)
     np.testing.assert_allclose(found.opd_waves * NM * MM_PER_NM, truth, rtol=0.0, atol=PATH_MM)
 
 

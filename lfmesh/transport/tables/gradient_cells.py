@@ -9,16 +9,13 @@ from numpy.typing import NDArray
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.geometry.array.gradient_cell import BACK, FRONT, follow_rays_in_cell
 from lfmesh.geometry.array.lenslets import Lenslets, faces_at, type_of
-from lfmesh.optics.gradient_path import starting_rays, steps_needed
+from lfmesh.optics.gradient_path import PROBE_PRECISION, starting_rays, steps_needed
 from lfmesh.optics.gradient_shapes import GradientProfile
 from lfmesh.optics.gradients import fields_at, gradient_table
 from lfmesh.scene import Scene
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, CellGradients, MlaTables
 
 Array = NDArray[np.float64]
-
-TOLERANCE_MM = 1e-9
-"""Largest error of a probe ray's place on the other face."""
 
 PLACES = (0.0, 0.5, 0.95)
 """Starts of probe rays, from the axis to a corner of the cell."""
@@ -134,7 +131,7 @@ def _of_wavelength(profile: GradientProfile, mla: MlaTables, outside: float) -> 
     if not len(arriving):
         raise GlassError("no ray from one face of a lenslet reaches the other one")
     # Rays that just pass a wall would pass it in some numbers of steps only.
-    steps = steps_needed(lambda count: traced(arriving, WIDER, count), TOLERANCE_MM)
+    steps = steps_needed(lambda count: traced(arriving, WIDER, count), PROBE_PRECISION * front.thickness)
     # A rod guides rays up to sin² θ = n² − n²(corner); straight rays are limited by its length.
     middle = float(squares[0])
     guided, straight = middle - squares.min(), middle * (2.0 * front.lattice.circumradius / front.thickness) ** 2

@@ -18,16 +18,13 @@ from lfmesh.geometry.surfaces.bends import rim_range
 from lfmesh.geometry.surfaces.tessellation import mesh_heights
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.gradient_paraxial import gap_matrix, index_on_axis
-from lfmesh.optics.gradient_path import starting_rays, steps_needed
+from lfmesh.optics.gradient_path import PROBE_PRECISION, starting_rays, steps_needed
 from lfmesh.optics.gradient_shapes import GradientProfile
 from lfmesh.optics.gradients import Gradients, fields_at, gradient_table
 from lfmesh.scene import Scene
 from lfmesh.scene.camera.gradient import Gradient
 
 Array = NDArray[np.float64]
-
-TOLERANCE_MM = 1e-9
-"""Largest error of a probe ray's place on the next face."""
 
 PROBE_HEIGHTS = (0.0, 0.5, 0.95)
 """Heights of probe rays on the face that they start from, and of the points on the other face that they are aimed at,
@@ -165,7 +162,7 @@ def _steps_of(profile: GradientProfile, gap: Gap, *, around: bool) -> tuple[int,
         raise GlassError("no ray from one face reaches the other one")
     # Rays that just pass the edge would pass it in some numbers of steps only.
     wide = gap._replace(front_rim=WIDER * gap.front_rim, back_rim=WIDER * gap.back_rim)
-    steps = steps_needed(lambda count: traced(arriving, wide, count), TOLERANCE_MM)
+    steps = steps_needed(lambda count: traced(arriving, wide, count), PROBE_PRECISION * float(lengths.max()))
     return steps, span / steps
 
 

@@ -66,8 +66,9 @@ def test_a_lens_inverts_where_real_rays_of_objects_land_on_the_other_side(case: 
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in asset_path("scenes").glob("*.toml")))
-def test_the_lenses_that_come_with_lfmesh_invert(name: str) -> None:
-    assert Upright.of(lf.load(asset_path("scenes") / name)).inverts
+def test_cameras_that_come_with_lfmesh_invert_unless_their_lenslets_image_upright(name: str) -> None:
+    scene = lf.load(asset_path("scenes") / name)
+    assert Upright.of(scene).inverts == (lf.first_order(scene).relay_magnification is None)
 
 
 def test_an_element_given_as_a_mesh_is_measured_first(tmp_path: Path) -> None:

@@ -358,8 +358,9 @@ def test_the_report_has_a_line_for_every_figure(scene: Scene) -> None:
     # has a pose; one wavelength has no line of its own, without a cover there is no line of it, and none of two figures
     # of another section in x, nor of lenslets' sections. The image plane is that of the lenslets, and there are none of
     # a focused camera. Air before the lens has no line, nor has air behind it. One line more says what diffraction at
-    # the lenslets makes of points. The field at other distances than that in focus has none.
-    assert len(lines) == len(FirstOrder.__dataclass_fields__) - 17
+    # the lenslets makes of points. The field at other distances than that in focus has none,
+    # nor have lenslets that do not image upright.
+    assert len(lines) == len(FirstOrder.__dataclass_fields__) - 18
     assert any(line.startswith("effective focal length 60.67") for line in lines)
 
 

@@ -31,6 +31,9 @@ Array = NDArray[np.float64]
 FAN = 41
 """Rays along each side of the fan for the first guess."""
 
+AHEAD, CLOSE = 2.0**-4, 2.0**-10
+"""Distance behind the stop at which rays start, over that of the next surface; the second in gradient-index glass."""
+
 DEGREE = 5
 """Degree of the polynomial from the place on the array to the chief ray's slope at the stop."""
 
@@ -252,7 +255,8 @@ class _Fan:
         after = lens.surfaces[paraxial.stop].thickness_mm or (scene.camera.mla and scene.camera.mla.distance_mm) or 0.0
         # Start behind the stop, which may be a glass surface, and well before the next surface.
         self._start = frames.points(pose_of(lens, paraxial.stop), [[0.0, 0.0, lens.vertices_mm[paraxial.stop]]])[0]
-        self._ahead = after / 16.0
+        # Rays in gradient-index glass are curved, so there they start closer.
+        self._ahead = after * (CLOSE if lens.surfaces[paraxial.stop].gradient is not None else AHEAD)
         self._reach = reach
         array_z = lens.vertices_mm[-1] + (scene.camera.mla.distance_mm or 0.0 if scene.camera.mla else 0.0)
         m = paraxial.from_stop

@@ -101,6 +101,7 @@ class _Reader:
         self.moves: dict[int, dict[str, float]] = {}
         self.returns: dict[int, list[tuple[int, str]]] = {}
         self.doubts: dict[str, tuple[int, str, str]] = {}
+        self.unusable: dict[str, tuple[int, str, str]] = {}
         self.zoom = ZoomPositions(report, WITHOUT_EFFECT)
         self.diffractive = DiffractiveSurfaces(report)
         self.at, self.text = 0, ""
@@ -166,6 +167,11 @@ class _Reader:
         for name, (at, text, how) in self.doubts.items():
             if any(surface.glass == name for surface in made.surfaces):
                 self.report.add(at, text, Verdict.APPROXIMATED, how)
+        for surface in made.surfaces:
+            if surface.glass in self.unusable:
+                self.report.refuse(*self.unusable[surface.glass])
+                # The catalogues do not have it either.
+                surface.glass = None
         lines = made.wavelengths_nm
         made.primary = len(lines) // 2
         if self.reference is not None:
@@ -462,10 +468,12 @@ class _Reader:
                 else:
                     glass, how = formula_glass(formula, numbers(words[2:]))
                 self.made.indices[self.private[-1]] = glass
+                self.unusable.pop(self.private[-1], None)
                 self._taken()
                 if how:
                     self.doubts[self.private[-1]] = self.at, self.text, how
             except (GlassError, ValueError) as error:
+                self.unusable[self.private[-1]] = self.at, self.text, str(error)
                 how = f"a private glass, refused where a surface has it: {error}"
                 self.report.add(self.at, self.text, Verdict.UNKNOWN, how)
 

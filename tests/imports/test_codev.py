@@ -90,7 +90,15 @@ def test_a_private_glass_of_one_index_is_that_index():
     dispersive = text.replace("1.6 1.6 1.6", "1.6 1.61 1.62")
     table = OwnGlass(wavelengths_nm=(450.0, 550.0, 650.0), values=(1.62, 1.61, 1.6))
     assert lens_of(dispersive).surfaces[0].glass == table
-    assert "'MINE': not in the catalogue" in refusal_of(text.replace("1.6 1.6 1.6", "1.6 1.61"))
+    assert "'MINE' 1.6 1.61: 2 indices for 3 wavelengths" in refusal_of(text.replace("1.6 1.6 1.6", "1.6 1.61"))
+
+
+@pytest.mark.parametrize("formula", ["URN", "SEL", "SPG"])
+def test_a_private_glass_with_a_gradient_is_refused_by_name(formula):
+    private = f"PRV\nPWL 550\n'MINE' {formula} 1.6 -0.01\nEND\nSO 0.0"
+    message = refusal_of(changed("SO 0.0", private).replace("NBK7_SCHOTT", "'MINE'"))
+    assert f"'MINE' {formula} 1.6 -0.01: gradient indices of CODE V are not supported" in message
+    assert "\n" not in message
 
 
 def test_a_fictitious_glass_is_the_normal_one_of_its_nd_and_vd():

@@ -115,6 +115,17 @@ def of_geometry(k, **changes):
         (of_geometry(2, radius="25"), 'radius = "25" must be a number'),
         (of_surface(2, material_post={"type": "Mirror"}), "mirrors are not supported"),
         (of_surface(2, material_post={"type": "GradientMaterial"}), "a medium of type GradientMaterial is not read"),
+        (
+            of_surface(
+                2,
+                material_post={
+                    "type": "IdealMaterial",
+                    "index": 1.5,
+                    "propagation_model": {"class": "GRINPropagation"},
+                },
+            ),
+            "a medium with the propagation GRINPropagation is not read; HomogeneousPropagation is",
+        ),
         (of_surface(2, interaction_model={"type": "DiffractiveInteractionModel"}), "a curved grating is not read"),
         (of_surface(2, interaction_model={"type": "RefractiveReflectiveModel", "is_reflective": True}), "mirrors"),
         (of_surface(2, aperture={"type": "RadialAperture", "r_min": 1.0, "r_max": 5.0}), "without a dark middle"),

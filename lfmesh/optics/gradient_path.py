@@ -60,6 +60,14 @@ NEWTON_STEPS = 3
 
 FEWEST_STEPS, MOST_STEPS = 4, 4096
 
+FEWEST_TRIAL_STEPS, TRIAL_PHASE = 64, 0.5
+"""Steps with which a search for probe rays that arrive begins: at least so many, and so many that the fastest
+oscillation of a ray about a maximum of the index advances by no more than this angle, in rad, in one of them. Coarser
+steps are unstable, and lose rays that oscillate."""
+
+ASIDE = 1e-3
+"""Distance of points for a difference of the gradient, over the width of the glass."""
+
 PROBE_PRECISION = 2e-11
 """Largest error of a probe ray's place on the next face, over the distance between the vertices: 1e-9 mm at 50 mm."""
 
@@ -407,6 +415,48 @@ def advanced(gradients: Gradients, number: int, rays: ArrayLike, lengths: ArrayL
     ends = np.array(rays, np.float64, ndmin=2)
     _advance(gradients, number, ends, np.ascontiguousarray(lengths, np.float64), steps)
     return ends
+
+
+def trial_steps(gradients: Gradients, number: int, points: ArrayLike, span_mm: float, width_mm: float) -> int:
+    """Return the number of steps with which the search for probe rays that arrive begins.
+
+    Parameters
+    ----------
+    gradients : Gradients
+    number : int
+        Row of the profile.
+    points : (n, 3) array_like, mm
+        Starts of the probe rays.
+    span_mm : float
+        Their longest length in σ.
+    width_mm : float
+        Width of the glass.
+    """
+    at, aside = np.asarray(points, np.float64), ASIDE * width_mm
+    shifts = aside * np.eye(3)
+    rates = [
+        (fields_at(gradients, number, at + shift) - fields_at(gradients, number, at - shift))[:, 1:] for shift in shifts
+    ]
+    fastest = np.sqrt(np.linalg.norm(np.array(rates) / (2.0 * aside), axis=(0, 2)).max())
+    return max(FEWEST_TRIAL_STEPS, int(np.ceil(min(span_mm * fastest / TRIAL_PHASE, MOST_STEPS))))
+
+
+def arriving_probes(arrives: Callable[[int], NDArray[np.bool_]], steps: int) -> NDArray[np.bool_]:
+    """Return which probe rays reach the next face, (n,) bool: the same ones in some number of steps and in its double.
+
+    Parameters
+    ----------
+    arrives : callable
+        Tells which probes arrive in a given number of steps, (n,) bool.
+    steps : int
+        First number, see `trial_steps`.
+    """
+    found = arrives(steps)
+    while True:
+        finer = arrives(2 * steps)
+        if np.array_equal(found, finer) or steps > MOST_STEPS:
+            return found & finer
+        steps, found = 2 * steps, finer
 
 
 def steps_needed(trace: Callable[[int], tuple[NDArray[np.bool_], Array]], tolerance_mm: float) -> int:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.geometry.array.gradient_cell import BACK, FRONT, follow_rays_in_cell
 from lfmesh.geometry.array.lenslets import Lenslets, faces_at, type_of
-from lfmesh.optics.gradient_path import PROBE_PRECISION, starting_rays, steps_needed
+from lfmesh.optics.gradient_path import PROBE_PRECISION, arriving_probes, starting_rays, steps_needed, trial_steps
 from lfmesh.optics.gradient_shapes import GradientProfile
 from lfmesh.optics.gradients import fields_at, gradient_table
 from lfmesh.scene import Scene
@@ -26,8 +26,8 @@ SINES = (0.0, 0.3, 0.6, 0.95)
 TURNS = 4
 """Azimuths of the directions of probe rays."""
 
-TRIAL_STEPS, WIDER = 64, 1.25
-"""Steps of the trial that finds the probe rays that arrive, and factor on the cells in which these are compared."""
+WIDER = 1.25
+"""Factor on the cells in which probe rays that arrive are compared."""
 
 STEEPEST = 0.95
 """Largest sine of an acceptance."""
@@ -127,7 +127,10 @@ def _of_wavelength(profile: GradientProfile, mla: MlaTables, outside: float) -> 
         )  # fmt: skip
         return (walls >= FRONT) & (walls != start[some]), ends
 
-    arriving = np.flatnonzero(traced(np.arange(len(rays)), 1.0, TRIAL_STEPS)[0])
+    first = trial_steps(gradients, 0, points, span, 2.0 * front.lattice.circumradius)
+    arriving = np.flatnonzero(
+        arriving_probes(lambda count: traced(np.arange(len(rays)), 1.0, count)[0], first)
+    )  # fmt: skip
     if not len(arriving):
         raise GlassError("no ray from one face of a lenslet reaches the other one")
     # Rays that just pass a wall would pass it in some numbers of steps only.

@@ -18,7 +18,7 @@ from lfmesh.geometry.surfaces.bends import rim_range
 from lfmesh.geometry.surfaces.tessellation import mesh_heights
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.gradient_paraxial import gap_matrix, index_on_axis
-from lfmesh.optics.gradient_path import PROBE_PRECISION, starting_rays, steps_needed
+from lfmesh.optics.gradient_path import PROBE_PRECISION, arriving_probes, starting_rays, steps_needed, trial_steps
 from lfmesh.optics.gradient_shapes import GradientProfile
 from lfmesh.optics.gradients import Gradients, fields_at, gradient_table
 from lfmesh.scene import Scene
@@ -34,9 +34,8 @@ STEEPER = (1.0, 2.0, 4.0)
 """Factors on the slopes of probe rays. Gradients bend rays that start steeper than the rims allow, so that they arrive
 all the same; other rays end on the edge, and count no more."""
 
-TRIAL_STEPS, WIDER = 64, 1.25
-"""Steps of the trial that finds the probe rays that arrive, and factor on the rims of the gap where these are compared.
-"""
+WIDER = 1.25
+"""Factor on the rims of the gap where probe rays that arrive are compared."""
 
 Frames = NDArray[np.float64]
 
@@ -157,7 +156,8 @@ def _steps_of(profile: GradientProfile, gap: Gap, *, around: bool) -> tuple[int,
         follow_rays_in_gap(gradients, 0, within, ends, walls, span / steps, steps)
         return (walls == FRONT) | (walls == BACK), ends
 
-    arriving = rays[traced(rays, gap, TRIAL_STEPS)[0]]
+    first = trial_steps(gradients, 0, points, span, 2.0 * max(gap.front_rim, gap.back_rim))
+    arriving = rays[arriving_probes(lambda count: traced(rays, gap, count)[0], first)]
     if not len(arriving):
         raise GlassError("no ray from one face reaches the other one")
     # Rays that just pass the edge would pass it in some numbers of steps only.

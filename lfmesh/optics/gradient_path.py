@@ -60,10 +60,12 @@ NEWTON_STEPS = 3
 
 FEWEST_STEPS, MOST_STEPS = 4, 4096
 
-FEWEST_TRIAL_STEPS, TRIAL_PHASE = 64, 0.5
-"""Steps with which a search for probe rays that arrive begins: at least so many, and so many that the fastest
-oscillation of a ray about a maximum of the index advances by no more than this angle, in rad, in one of them. Coarser
-steps are unstable, and lose rays that oscillate."""
+FEWEST_TRIAL_STEPS = 64
+"""Steps with which a search for probe rays that arrive begins, at least."""
+
+PHASE = 0.5
+"""Largest advance, in rad, of the fastest oscillation of a ray about a maximum of the index in one step. Longer steps are
+unstable, and the closest approach to a wall within one is not that of a parabola."""
 
 ASIDE = 1e-3
 """Distance of points for a difference of the gradient, over the width of the glass."""
@@ -417,8 +419,8 @@ def advanced(gradients: Gradients, number: int, rays: ArrayLike, lengths: ArrayL
     return ends
 
 
-def trial_steps(gradients: Gradients, number: int, points: ArrayLike, span_mm: float, width_mm: float) -> int:
-    """Return the number of steps with which the search for probe rays that arrive begins.
+def least_steps(gradients: Gradients, number: int, points: ArrayLike, span_mm: float, width_mm: float) -> int:
+    """Return the number of steps that follow every oscillation of probe rays, see `PHASE`.
 
     Parameters
     ----------
@@ -438,7 +440,7 @@ def trial_steps(gradients: Gradients, number: int, points: ArrayLike, span_mm: f
         (fields_at(gradients, number, at + shift) - fields_at(gradients, number, at - shift))[:, 1:] for shift in shifts
     ]
     fastest = np.sqrt(np.linalg.norm(np.array(rates) / (2.0 * aside), axis=(0, 2)).max())
-    return max(FEWEST_TRIAL_STEPS, int(np.ceil(min(span_mm * fastest / TRIAL_PHASE, MOST_STEPS))))
+    return max(1, int(np.ceil(min(span_mm * fastest / PHASE, MOST_STEPS))))
 
 
 def arriving_probes(arrives: Callable[[int], NDArray[np.bool_]], steps: int) -> NDArray[np.bool_]:
@@ -449,8 +451,9 @@ def arriving_probes(arrives: Callable[[int], NDArray[np.bool_]], steps: int) -> 
     arrives : callable
         Tells which probes arrive in a given number of steps, (n,) bool.
     steps : int
-        First number, see `trial_steps`.
+        First number, see `least_steps`; at least `FEWEST_TRIAL_STEPS` are taken.
     """
+    steps = max(steps, FEWEST_TRIAL_STEPS)
     found = arrives(steps)
     while True:
         finer = arrives(2 * steps)
@@ -460,7 +463,7 @@ def arriving_probes(arrives: Callable[[int], NDArray[np.bool_]], steps: int) -> 
 
 
 def steps_needed(trace: Callable[[int], tuple[NDArray[np.bool_], Array]], tolerance_mm: float) -> int:
-    """Return the smallest sufficient number of steps for probe rays.
+    """Return the smallest sufficient number of steps for probe rays, all of which arrive.
 
     The number doubles until the result changes by no more than the tolerance. Then the rate of convergence gives a
     smaller number, which is checked against the finest result.
@@ -481,8 +484,10 @@ def steps_needed(trace: Callable[[int], tuple[NDArray[np.bool_], Array]], tolera
     result, finer = trace(steps), trace(2 * steps)
     while not (error := _difference(result, finer)) <= tolerance_mm:
         steps *= 2
-        if steps > MOST_STEPS and not finer[0].any():
-            raise GlassError("gradient index: no probe ray reaches the next face")
+        if steps > MOST_STEPS and not finer[0].all():
+            raise GlassError(
+                f"gradient index: {np.count_nonzero(~finer[0])} of {len(finer[0])} probe rays do not reach the next face"
+            )
         if steps > MOST_STEPS:
             raise GlassError(
                 f"gradient index: rays in {MOST_STEPS} steps are wrong by {error:.1g} mm, more than "
@@ -498,10 +503,10 @@ def steps_needed(trace: Callable[[int], tuple[NDArray[np.bool_], Array]], tolera
 def _difference(coarse: tuple[NDArray[np.bool_], Array], fine: tuple[NDArray[np.bool_], Array]) -> float:
     """Return the largest difference of the positions and, in units of `PATH_PRECISION`, the optical paths, mm.
 
-    It is inf if different rays reach the face, or none.
+    It is inf unless all rays reach the face: in too few steps, which are unstable, only those on the axis may.
     """
     (reached, ends), (reached_too, truth) = coarse, fine
-    if not np.array_equal(reached, reached_too) or not reached.any():
+    if not (reached.all() and reached_too.all() and len(reached)):
         return np.inf
-    change = (ends - truth)[reached]
+    change = ends - truth
     return max(float(np.linalg.norm(change[:, :3], axis=1).max()), float(np.abs(change[:, 6]).max()) / PATH_PRECISION)

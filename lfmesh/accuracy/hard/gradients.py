@@ -51,7 +51,7 @@ def along_the_edge_of_a_rod() -> Outcome:
     farthest = np.where(inside, edge - beside, edge + beside)
     # The path is an ellipse: half a pitch has its largest distance from the axis, here beside the points of the start.
     turn, nearest = draw.uniform(0.0, 2.0 * np.pi, count), draw.uniform(0.0, 0.9, count)
-    where = draw.uniform(0.2, 0.45, count) * np.pi
+    where = draw.uniform(0.2, 0.4, count) * np.pi
     rate = INDEX * np.sqrt(-SQUARE)
     first = np.column_stack([np.cos(turn), np.sin(turn)])
     second = np.column_stack([-np.sin(turn), np.cos(turn)])

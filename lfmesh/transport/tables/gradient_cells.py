@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.geometry.array.gradient_cell import BACK, FRONT, follow_rays_in_cell
 from lfmesh.geometry.array.lenslets import Lenslets, faces_at, type_of
-from lfmesh.optics.gradient_path import PROBE_PRECISION, arriving_probes, starting_rays, steps_needed, trial_steps
+from lfmesh.optics.gradient_path import PROBE_PRECISION, arriving_probes, least_steps, starting_rays, steps_needed
 from lfmesh.optics.gradient_shapes import GradientProfile
 from lfmesh.optics.gradients import fields_at, gradient_table
 from lfmesh.scene import Scene
@@ -127,14 +127,15 @@ def _of_wavelength(profile: GradientProfile, mla: MlaTables, outside: float) -> 
         )  # fmt: skip
         return (walls >= FRONT) & (walls != start[some]), ends
 
-    first = trial_steps(gradients, 0, points, span, 2.0 * front.lattice.circumradius)
+    least = least_steps(gradients, 0, points, span, 2.0 * front.lattice.circumradius)
     arriving = np.flatnonzero(
-        arriving_probes(lambda count: traced(np.arange(len(rays)), 1.0, count)[0], first)
+        arriving_probes(lambda count: traced(np.arange(len(rays)), 1.0, count)[0], least)
     )  # fmt: skip
     if not len(arriving):
         raise GlassError("no ray from one face of a lenslet reaches the other one")
     # Rays that just pass a wall would pass it in some numbers of steps only.
-    steps = steps_needed(lambda count: traced(arriving, WIDER, count), PROBE_PRECISION * front.thickness)
+    needed = steps_needed(lambda count: traced(arriving, WIDER, count), PROBE_PRECISION * front.thickness)
+    steps = max(needed, least)
     # A rod guides rays up to sin² θ = n² − n²(corner); straight rays are limited by its length.
     middle = float(squares[0])
     guided, straight = middle - squares.min(), middle * (2.0 * front.lattice.circumradius / front.thickness) ** 2

@@ -18,7 +18,7 @@ from lfmesh.geometry.surfaces.bends import rim_range
 from lfmesh.geometry.surfaces.tessellation import mesh_heights
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.gradient_paraxial import gap_matrix, index_on_axis
-from lfmesh.optics.gradient_path import PROBE_PRECISION, arriving_probes, starting_rays, steps_needed, trial_steps
+from lfmesh.optics.gradient_path import PROBE_PRECISION, arriving_probes, least_steps, starting_rays, steps_needed
 from lfmesh.optics.gradient_shapes import GradientProfile
 from lfmesh.optics.gradients import Gradients, fields_at, gradient_table
 from lfmesh.scene import Scene
@@ -156,13 +156,14 @@ def _steps_of(profile: GradientProfile, gap: Gap, *, around: bool) -> tuple[int,
         follow_rays_in_gap(gradients, 0, within, ends, walls, span / steps, steps)
         return (walls == FRONT) | (walls == BACK), ends
 
-    first = trial_steps(gradients, 0, points, span, 2.0 * max(gap.front_rim, gap.back_rim))
-    arriving = rays[arriving_probes(lambda count: traced(rays, gap, count)[0], first)]
+    least = least_steps(gradients, 0, points, span, 2.0 * max(gap.front_rim, gap.back_rim))
+    arriving = rays[arriving_probes(lambda count: traced(rays, gap, count)[0], least)]
     if not len(arriving):
         raise GlassError("no ray from one face reaches the other one")
     # Rays that just pass the edge would pass it in some numbers of steps only.
     wide = gap._replace(front_rim=WIDER * gap.front_rim, back_rim=WIDER * gap.back_rim)
-    steps = steps_needed(lambda count: traced(arriving, wide, count), PROBE_PRECISION * float(lengths.max()))
+    needed = steps_needed(lambda count: traced(arriving, wide, count), PROBE_PRECISION * float(lengths.max()))
+    steps = max(needed, least)
     return steps, span / steps
 
 

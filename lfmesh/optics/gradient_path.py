@@ -64,8 +64,8 @@ FEWEST_TRIAL_STEPS = 64
 """Steps with which a search for probe rays that arrive begins, at least."""
 
 PHASE = 0.5
-"""Largest advance, in rad, of the fastest oscillation of a ray about a maximum of the index in one step. Longer steps are
-unstable, and the closest approach to a wall within one is not that of a parabola."""
+"""Largest advance in one step, in rad, of the fastest oscillation of a ray about a maximum of the index. Longer steps
+are unstable, and the closest approach to a wall within one is not that of a parabola."""
 
 ASIDE = 1e-3
 """Distance of points for a difference of the gradient, over the width of the glass."""
@@ -485,9 +485,8 @@ def steps_needed(trace: Callable[[int], tuple[NDArray[np.bool_], Array]], tolera
     while not (error := _difference(result, finer)) <= tolerance_mm:
         steps *= 2
         if steps > MOST_STEPS and not finer[0].all():
-            raise GlassError(
-                f"gradient index: {np.count_nonzero(~finer[0])} of {len(finer[0])} probe rays do not reach the next face"
-            )
+            missing = np.count_nonzero(~finer[0])
+            raise GlassError(f"gradient index: {missing} of {len(finer[0])} probe rays do not reach the next face")
         if steps > MOST_STEPS:
             raise GlassError(
                 f"gradient index: rays in {MOST_STEPS} steps are wrong by {error:.1g} mm, more than "

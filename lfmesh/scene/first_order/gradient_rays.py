@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import GlassError
 from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.surface import Surface
 
@@ -111,17 +112,23 @@ def space_behind(surface: Surface, wavelength_nm: float) -> GradientSpace | None
 
 @lru_cache(maxsize=64)
 def _space(gradient: Gradient, wavelength_nm: float, length_mm: float, radius_mm: float) -> GradientSpace:
-    from lfmesh.optics.gradient_path import ConicFace, starting_rays, steps_needed, traced
+    from lfmesh.optics import gradient_path
     from lfmesh.optics.gradients import gradient_table
 
     gradients = gradient_table([gradient.profile(wavelength_nm)])
+    if not length_mm:
+        return GradientSpace(gradients, 1, length_mm)
     heights = radius_mm * np.arange(1, PROBES + 1) / PROBES
-    probes = starting_rays(
-        gradients,
-        0,
-        np.column_stack([np.zeros(PROBES), heights, np.zeros(PROBES)]),
-        np.tile([0.0, 0.0, 1.0], (PROBES, 1)),
-    )
-    end = ConicFace(0.0, 0.0, length_mm)
-    steps = steps_needed(lambda count: traced(gradients, 0, probes, end, count), PRECISION) if length_mm else 1
-    return GradientSpace(gradients, steps, length_mm)
+    points = np.column_stack([np.zeros(PROBES), heights, np.zeros(PROBES)])
+    probes = gradient_path.starting_rays(gradients, 0, points, np.tile([0.0, 0.0, 1.0], (PROBES, 1)))
+    end = gradient_path.ConicFace(0.0, 0.0, length_mm)
+
+    def traced(some: Array, count: int) -> tuple[NDArray[np.bool_], Array]:
+        return gradient_path.traced(gradients, 0, some, end, count)
+
+    least = gradient_path.least_steps(gradients, 0, points, length_mm, 2.0 * radius_mm)
+    arriving = probes[gradient_path.arriving_probes(lambda count: traced(probes, count)[0], least)]
+    if not len(arriving):
+        raise GlassError("gradient index: no ray along the axis reaches the next face")
+    needed = gradient_path.steps_needed(lambda count: traced(arriving, count), PRECISION)
+    return GradientSpace(gradients, max(needed, least), length_mm)

@@ -86,8 +86,8 @@ class FieldProbe:
         if self.halving_change <= COARSEST:
             return None
         return (
-            f"a grid with half as many voxels along each axis bends light by up to {100.0 * self.halving_change:.2g} % "
-            f"more or less, so the deflection may be wrong by {100.0 * self.grid_error:.2g} %; give smaller voxels"
+            f"a grid with half as many voxels along each axis bends light by up to {100.0 * self.halving_change:.3g} % "
+            f"more or less, so the deflection may be wrong by {100.0 * self.grid_error:.3g} %; give smaller voxels"
         )
 
 

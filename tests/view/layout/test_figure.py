@@ -63,7 +63,9 @@ def test_every_scene_that_comes_with_lfmesh_draws_and_its_texts_are_clear_of_eac
     drawn = first_light() if name == "first_light" else layout(lf.load(asset_path(f"scenes/{name}.toml")))
     assert overlapping(drawn) == []
     arrived = [ray.status for bundle in drawn.bundles for ray in bundle.rays]
-    assert arrived.count(lf.Status.SENSOR) >= 7
+    # A contact sensor has no lens that sends light through its stop to every rod.
+    relays = lf.first_order(lf.load(asset_path(f"scenes/{name}.toml"))).relay_magnification is not None
+    assert arrived.count(lf.Status.SENSOR) >= (1 if relays else 7)
 
 
 @pytest.mark.parametrize("lens", instances(LENSES, long=["achromat_100mm", "asphere_100mm", "cooke_triplet_50mm"]))

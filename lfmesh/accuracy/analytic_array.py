@@ -28,7 +28,7 @@ from lfmesh.scene import BackFace, MicrolensArray, Scene
 CELL_STEPS = 6
 """Lenslets tried in turn: a ray may meet a neighbour of the lenslet guessed first."""
 
-WALL_SAMPLES = 64
+WALL_SAMPLES = 32
 """Points of a curved path that are held against the walls of its cell."""
 
 

@@ -32,9 +32,10 @@ CASES = {
     "media": ["--quick"],
     "paired": ["--quick", "--shift-um", "20"],
     "spreads": ["--quick"],
+    "elements": ["--quick", "--samples", "2"],
     "startup": ["--quick"],
 }
-LONG = ("errors", "lens", "startup", "against", "scaling", "media", "paired", "render", "spreads")
+LONG = ("errors", "lens", "startup", "against", "scaling", "media", "paired", "render", "spreads", "elements")
 """Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size, lens
 for each lens and each other program. Of commands that render scenes and print tables of them, image and errors are in
 the suite.
@@ -56,6 +57,7 @@ TABLES = {
     "media": {"render": "RENDER_COLUMNS", "particles": "PARTICLE_COLUMNS", "flame": "FLAME_COLUMNS"},
     "paired": {"paired": "COLUMNS", "needed": "NEED_COLUMNS"},
     "spreads": {"spreads": "COLUMNS"},
+    "elements": {"elements": "COLUMNS"},
     "startup": {"startup": "COLUMNS"},
 }
 

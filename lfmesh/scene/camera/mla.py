@@ -80,8 +80,8 @@ class MicrolensArray(Model):
     coefficients = [-0.09] }. z is 0 at the apex of the face towards the lens. Replaces `index` and `glass`; needs
     `radius_mm`, or flat faces. Omitted: a homogeneous plate."""
     walls: Literal["absorb", "clear"] = "absorb"
-    """Walls between the cells of a plate with a `gradient`: "absorb" light that reaches them, as between rods, or
-    "clear": let it pass into the next cell, if the glass of both cells is the same at their wall."""
+    """Walls between the cells of a plate with a `gradient`: "absorb" light, as between rods, or "clear": let it pass
+    into the next cell. The glass of both cells must then be the same at their wall."""
     thickness_mm: Positive
     """Thickness from the apex of the curved face to the flat face, or to the apexes of `back`, in mm."""
     curved_coating: Text = UNCOATED

@@ -165,13 +165,13 @@ def glowing(method: str, **transport: Any) -> lf.Scene:
 def test_forward_equals_adjoint_behind_a_rod(split: str) -> None:
     """Power of the whole image, by Welch's test; energy closes in both methods."""
     total, error = [], []
-    for method, samples in (("adjoint", 512), ("forward", 8192)):
+    for method, samples in (("adjoint", 64), ("forward", 1024)):
         image = unchecked(glowing(method, split=split, samples=samples))
         assert abs(image.ledger.imbalance) < 1e-11
         assert image.ledger.lost_share == 0.0
         total.append(float(image.mean.sum()))
         error.append(float(np.sqrt(np.square(image.stderr).sum())))
-    assert max(e / t for e, t in zip(error, total, strict=True)) < 0.01
+    assert max(e / t for e, t in zip(error, total, strict=True)) < 0.03
     assert abs(total[0] - total[1]) < stats.t.ppf(1.0 - 0.5 * LEVEL / 2, 15) * np.hypot(*error)
 
 

@@ -161,7 +161,7 @@ def glowing(method: str, **transport: Any) -> lf.Scene:
     return scene.changed({"targets": [target]} | sensor | given)
 
 
-@pytest.mark.parametrize("split", ["transmit", "both"])
+@pytest.mark.parametrize("split", ["transmit", pytest.param("both", marks=pytest.mark.long)])
 def test_forward_equals_adjoint_behind_a_rod(split: str) -> None:
     """Power of the whole image, by Welch's test; energy closes in both methods."""
     total, error = [], []

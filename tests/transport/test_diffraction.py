@@ -12,7 +12,7 @@ import lfmesh as lf
 from lfmesh.scene import Camera, Lens, MicrolensArray, Scene, Sensor, Surface, Transport
 from lfmesh.transport.aims.fitting import ALLOWED
 from lfmesh.transport.aims.support import beyond_sensor_aim
-from lfmesh.transport.sequences.stop_rays import CameraTables, rays_from_stop
+from lfmesh.transport.sequences.stop_rays import CameraTables, Reach, rays_from_stop
 from tests.instances import instances
 
 LEVEL = 1e-5
@@ -354,7 +354,7 @@ def test_the_aim_holds_the_diffracted_light_but_for_far_changes_of_direction(kin
     assert not proof.fallback
     tables, random = world.tables, np.random.default_rng(7)
     through = CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames)
-    draws = [rays_from_stop(through, 0.05, random) for _ in range(8)]
+    draws = [rays_from_stop(through, Reach(0.05), random) for _ in range(8)]
     held = [beyond_sensor_aim(world.aim, through, rays) <= 1.0 for rays in draws]
     unmoved = [
         beyond_sensor_aim(world.aim, through, rays._replace(kick=np.zeros_like(rays.kick))) <= 1.0 for rays in draws

@@ -20,11 +20,7 @@ EXTENDED = np.longdouble
 POSITION_MM = 1e-9
 WEIGHT = 1e-12
 # Gradient-index glass, with its curved rays, has a truth of its own in `test_gradient_lenses.py`.
-LENSES = [
-    name
-    for name in library()
-    if all(surface.gradient is None for surface in load_lens(asset_path(f"lenses/{name}.toml")).surfaces)
-]
+LENSES = [name for name in library() if not load_lens(f"lib:{name}").has_gradients]
 # Half field in degrees up to which each lens is asked: the published one where there is one.
 HALF_FIELD_DEG = {"double_gauss_50mm": 22.0, "cooke_triplet_50mm": 20.0, "ball_10mm": 20.0}
 # Rays of 2500 on the front that reach the sensor, at least; a fisheye's front is far wider than its pupil.

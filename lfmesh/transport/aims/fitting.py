@@ -60,7 +60,7 @@ def decentred(entrance: Opening, exit_: Opening, through: CameraTables) -> tuple
     random = np.random.default_rng(0x905E)
     bare = through._replace(mla=through.mla._replace(present=False))
     reach = reach_of(bare, random)
-    if reach == 0.0:
+    if reach is None:
         return entrance, exit_
     rays = rays_from_stop(bare, reach, random)
     to_camera = through.frames[SENSOR_FRAME, CAMERA_FRAME]

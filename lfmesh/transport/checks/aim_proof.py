@@ -187,6 +187,8 @@ def _diffracted(aim: AimTables, proof: AimProof | None, through: CameraTables) -
         return aim, None
     random = np.random.default_rng(0x6B1C)
     reach = reach_of(through._replace(mla=undiffracted(through.mla)), random)
+    if reach is None:
+        return aim, proof
     rays = rays_from_stop(through, reach, random)
     if not len(rays.throughput):
         return aim, proof
@@ -223,7 +225,7 @@ def proven(
     """
     random = np.random.default_rng(0x5106)
     reach = reach_of(through, random)
-    if reach == 0.0:
+    if reach is None:
         return aim, None
     proof = None
     for attempt in range(ATTEMPTS):

@@ -53,7 +53,13 @@ FURTHEST = 1e3
 """Largest distance, likewise."""
 
 ROOM = 1.15
-"""Factor on the largest such distance of a ray that reached the sensor; the measurement draws rays within it."""
+"""Factor on the largest distance or slope of a ray that reached the sensor; the measurement draws rays within it."""
+
+SEARCHES = 8
+"""Most searches for the largest slope, each within `ROOM_OF_SEARCH` times the one before."""
+
+ROOM_OF_SEARCH = 2.0
+"""Factor on the largest slope found, within which the next search draws."""
 
 
 class Rays(NamedTuple):
@@ -91,6 +97,24 @@ class CoverPlate(NamedTuple):
     indices: Array
 
 
+class Reach(NamedTuple):
+    """Disc in which rays from the stop are drawn uniformly.
+
+    Where first-order optics image the stop near the sensor, a ray's landing point says little of its slope, and nearly
+    all rays drawn by landing points are too steep for the lens. Rays are then drawn by their slopes.
+
+    Attributes
+    ----------
+    radius : float
+        Largest distance of first-order landing points from the sensor's centre, in mm, or largest slope.
+    of_slopes : bool
+        The disc is one of slopes.
+    """
+
+    radius: float
+    of_slopes: bool = False
+
+
 @by_address
 class CameraTables(NamedTuple):
     """Camera tables for rays from the stop; the sensor is at its apparent place.
@@ -106,63 +130,91 @@ class CameraTables(NamedTuple):
     stop: Any = None
 
 
-def reach_of(through: CameraTables, random: np.random.Generator) -> float:
-    """Return the largest first-order distance from the sensor's centre of rays that reach the sensor.
+def reach_of(through: CameraTables, random: np.random.Generator) -> Reach | None:
+    """Return the smaller disc, of landing points or slopes, that holds all rays that reach the sensor.
 
-    0: none does, or none can be drawn, as the stop lies between gradient-index glass on both sides.
+    None: no ray reaches it, or none can be drawn, as the stop lies between gradient-index glass on both sides.
     """
     sensor = through.sensor
     if _is_within_gradients(through.lens):
-        return 0.0
+        return None
     diagonal = 0.5 * sensor.pixel * np.hypot(sensor.columns, sensor.rows)
-    place = NEAREST * diagonal * (FURTHEST / NEAREST) ** random.random(BATCH)
-    _, found = _trace_from_stop(through, place, random)
-    return ROOM * float(place[found].max(initial=0.0))
+    drawn = NEAREST * diagonal * (FURTHEST / NEAREST) ** random.random(BATCH)
+    _, found = _trace_from_stop(through, drawn, random)
+    if not len(found.drawn):
+        return None
+    places = Reach(ROOM * float(found.drawn.max()))
+    steepest, limit = float(found.slope.max()), 0.0
+    if ROOM * steepest >= places.radius * abs(_first_order_of(through).slope):
+        return places
+    # So few rays came through that steeper ones may have been missed.
+    for _ in range(SEARCHES):
+        if ROOM * steepest <= limit:
+            break
+        limit = ROOM_OF_SEARCH * steepest
+        _, found = _trace_from_stop(through, limit * np.sqrt(random.random(BATCH)), random, of_slopes=True)
+        steepest = max(steepest, float(found.slope.max(initial=0.0)))
+    return Reach(ROOM * steepest, of_slopes=True)
 
 
-def rays_from_stop(through: CameraTables, reach: float, random: np.random.Generator) -> Rays:
-    """Return rays from the stop, uniform over its area and their first-order landing points.
+def rays_from_stop(through: CameraTables, reach: Reach, random: np.random.Generator) -> Rays:
+    """Return rays from the stop, uniform over its area and the disc of their slopes or first-order landing points.
 
     Parameters
     ----------
     through : CameraTables
-    reach : float, mm
+    reach : Reach
         See `reach_of`.
     random : Generator
     """
     some: list[Rays] = []
     for _ in range(BATCHES):
-        rays, _ = _trace_from_stop(through, reach * np.sqrt(random.random(BATCH)), random)
+        drawn = reach.radius * np.sqrt(random.random(BATCH))
+        rays, _ = _trace_from_stop(through, drawn, random, of_slopes=reach.of_slopes)
         some.append(rays)
         if sum(len(r.throughput) for r in some) >= ENOUGH:
             break
     return Rays(*(np.concatenate(each) for each in zip(*some, strict=True)))
 
 
-def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Generator) -> tuple[Rays, NDArray[np.intp]]:
-    """Trace random rays from the stop; return those that come through, and their indices.
+class _Found(NamedTuple):
+    """Rays that came through: what they were drawn by, and their slopes at the stop; (n,) each."""
+
+    drawn: Array
+    slope: Array
+
+
+def _trace_from_stop(
+    through: CameraTables, drawn: Array, random: np.random.Generator, *, of_slopes: bool = False
+) -> tuple[Rays, _Found]:
+    """Trace random rays from the stop; return those that come through, and how they were drawn.
 
     Parameters
     ----------
-    place : (n,) float64, mm
-        Distance of each ray's first-order landing point from the sensor's centre.
+    drawn : (n,) float64
+        Distance of each ray's first-order landing point from the sensor's centre, in mm, or its slope.
+    random : Generator
+    of_slopes : bool
+        Slopes are given.
     """
     lens, sensor = through.lens, through.sensor
     space, z, rim, depth, pose = _stop_of(lens)
-    moves = through.frames[MLA_FRAME if through.mla.present else SENSOR_FRAME, CAMERA_FRAME]
-    centre_x, centre_y = through.frames[SENSOR_FRAME, CAMERA_FRAME][:2, 3]
-    height, angle, (aside_x, aside_y) = _to_plane(lens, space, z, float(moves[2, 3]))
-    out, turn = np.sqrt(random.random(len(place))), 2.0 * np.pi * random.random(len(place))
-    around = 2.0 * np.pi * random.random(len(place))
-    # The map from landing points to slopes is a shear at fixed height, so the density of slopes stays uniform.
-    slope = 1.0 / angle if abs(angle) > 1e-9 * abs(z - moves[2, 3]) else 1.0
-    # Phases that deflect light, such as gratings, move the landing points aside.
-    centre_x, centre_y = centre_x - aside_x, centre_y - aside_y
+    optics = _first_order_of(through)
+    out, turn = np.sqrt(random.random(len(drawn))), 2.0 * np.pi * random.random(len(drawn))
+    around = 2.0 * np.pi * random.random(len(drawn))
+    height, slope, (centre_x, centre_y) = optics.height, optics.slope, optics.centre
     # Rays through the aperture of a curved stop cross the plane at its vertex slightly further out.
-    radius = rim * (1.0 + depth * abs(height * slope)) + depth * (place + np.hypot(centre_x, centre_y)) * abs(slope)
+    if of_slopes:
+        radius = rim + depth * drawn
+    else:
+        radius = rim * (1.0 + depth * abs(height * slope)) + depth * (drawn + np.hypot(centre_x, centre_y)) * abs(slope)
     x, y = radius * out * np.cos(turn), radius * out * np.sin(turn)
-    tx = slope * (centre_x + place * np.cos(around) - height * x)
-    ty = slope * (centre_y + place * np.sin(around) - height * y)
+    if of_slopes:
+        tx, ty = drawn * np.cos(around), drawn * np.sin(around)
+    else:
+        # The map from landing points to slopes is a shear at fixed height, so the density of slopes stays uniform.
+        tx = slope * (centre_x + drawn * np.cos(around) - height * x)
+        ty = slope * (centre_y + drawn * np.sin(around) - height * y)
     to_sensor, to_objects, of_colour = np.zeros((len(x), 6)), np.zeros((len(x), 7)), np.zeros(len(x), np.int64)
     key = 0 if through.mla.apertures is None else int(random.integers(1 << 63))
     kick = np.zeros((len(x), 2))
@@ -187,7 +239,36 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
         of_colour[mine], kick[mine] = colour, changes
     throughput = to_sensor[:, 5] * to_objects[:, 6] * radius * radius / (1.0 + tx * tx + ty * ty) ** 2
     found = np.flatnonzero(throughput > 0.0)
-    return Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found], of_colour[found], kick[found]), found
+    rays = Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found], of_colour[found], kick[found])
+    return rays, _Found(drawn[found], np.hypot(tx, ty)[found])
+
+
+class _FirstOrder(NamedTuple):
+    """Rays from the stop to the plane of the array or sensor, by first-order optics.
+
+    Attributes
+    ----------
+    height : float
+        Height at the plane for unit height at the stop.
+    slope : float, 1/mm
+        Slope at the stop for unit height at the plane; 1 if the plane is an image of the stop.
+    centre : (2,) float64, mm
+        Point of the plane that the drawn points lie about.
+    """
+
+    height: float
+    slope: float
+    centre: Array
+
+
+def _first_order_of(through: CameraTables) -> _FirstOrder:
+    lens = through.lens
+    space, z = _stop_of(lens)[:2]
+    moves = through.frames[MLA_FRAME if through.mla.present else SENSOR_FRAME, CAMERA_FRAME]
+    height, angle, aside = _to_plane(lens, space, z, float(moves[2, 3]))
+    slope = 1.0 / angle if abs(angle) > 1e-9 * abs(z - moves[2, 3]) else 1.0
+    # Phases that deflect light, such as gratings, move the landing points aside.
+    return _FirstOrder(height, slope, through.frames[SENSOR_FRAME, CAMERA_FRAME][:2, 3] - aside)
 
 
 def _turned_at_stop(

@@ -38,7 +38,9 @@ def missed(world: lf.World, aim: AimTables, seed: int = 99) -> tuple[float, floa
     random = np.random.default_rng(seed)
     tables = world.tables
     through = CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames)
-    rays = rays_from_stop(through, reach_of(through, random), random)
+    reach = reach_of(through, random)
+    assert reach is not None
+    rays = rays_from_stop(through, reach, random)
     corners = world.targets[0].mesh.vertices
     seen = viewpoints(aim.entrance.opening.plane_z, aim.entrance.wide_radius, corners, to_sensor=True)
     found = beyond_sensor_aim(aim, through, rays), beyond_object_aim(aim, seen, None, rays, random)[0]

@@ -6,6 +6,7 @@ outer centres to the grid's faces.
 """
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -20,7 +21,10 @@ from lfmesh.regular_file import Header, open_arrays, open_regular
 Array = NDArray[np.float64]
 Interpolation = Literal["trilinear", "constant"]
 
-QUANTITIES = ("absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr", "temperature_k")
+INDEX_QUANTITIES = ("index", "density_kg_m3", "pressure_kpa")
+"""Quantities that set the index; a pressure does so together with temperature_k."""
+
+QUANTITIES = ("absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr", "temperature_k", *INDEX_QUANTITIES)
 """Quantities that a grid may hold, by the names of their arrays."""
 
 PLACE = ("spacing_mm", "origin_mm")
@@ -145,6 +149,27 @@ def read_voxels(
     return _read_numpy(path, spacing_mm, origin_mm, interpolation, quantity)
 
 
+def quantities_in(path: Path, quantity: str | None = None) -> tuple[str, ...]:
+    """Return the names of the quantities in a file, without reading voxels; none if the file cannot be read.
+
+    Parameters
+    ----------
+    path : Path
+    quantity : str, optional
+        As for `read_voxels`.
+    """
+    if path.suffix.lower() == VTK:
+        names: tuple[str, ...] = import_module("lfmesh.imports.vtk_image").array_names(path)
+        held = tuple(name for name in names if name in QUANTITIES)
+        return held or ((quantity,) if quantity is not None else ())
+    if path.suffix.lower() == ".npy":
+        return (quantity,) if quantity is not None else ()
+    # `read_voxels` says what is wrong with a file.
+    with suppress(Exception), open_arrays(path) as arrays:
+        return tuple(name for name in arrays.names if name in QUANTITIES)
+    return ()
+
+
 def _read_numpy(
     path: Path, spacing_mm: ArrayLike | None, origin_mm: ArrayLike | None, interpolation: Interpolation,
     quantity: str | None,
@@ -233,6 +258,9 @@ def _common_shape(shapes: Mapping[str, tuple[int, ...]], where: str) -> tuple[in
         raise FileError(f"{where}: its arrays differ in shape: {different}")
     if "emission_w_mm3_sr" in shapes and "temperature_k" in shapes:
         raise FileError(f"{where}: emission_w_mm3_sr and temperature_k are both given; give one of them")
+    laws = [name for name in INDEX_QUANTITIES if name in shapes]
+    if len(laws) > 1:
+        raise FileError(f"{where}: {laws[0]} and {laws[1]} are both given, and both set the index; give one of them")
     return next(iter(shapes.values()))
 
 

@@ -151,6 +151,34 @@ def _extents(path: Path, _: tuple[object, ...]) -> tuple[tuple[int, ...], ...]:
     return (found["ImageData"] or [NOTHING])[0], *found["Piece"]
 
 
+def array_names(path: Path) -> tuple[str, ...]:
+    """Return the names of the arrays of an image, without reading data; none if the file cannot be read.
+
+    Parameters
+    ----------
+    path : Path
+    """
+    return _array_names(path, file_stamp(path))
+
+
+@lru_cache(maxsize=64)
+def _array_names(path: Path, _: tuple[object, ...]) -> tuple[str, ...]:
+    """Return the names of the arrays of the file with this stamp."""
+    names: list[str] = []
+
+    def begin(name: str, attributes: dict[str, str]) -> None:
+        if name == "AppendedData":
+            raise _DataReachedError
+        if name == "DataArray" and "Name" in attributes:
+            names.append(attributes["Name"])
+
+    parser = ParserCreate()
+    parser.StartElementHandler = begin
+    with suppress(_DataReachedError, ExpatError, OSError), open_regular(path) as file:
+        parser.ParseFile(file)
+    return tuple(names)
+
+
 def _extent(text: str) -> tuple[int, ...]:
     words = text.split()
     known = len(words) == 6 and all(_NUMBER.fullmatch(word) for word in words)

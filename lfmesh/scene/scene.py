@@ -8,6 +8,7 @@ from typing import Any
 
 from lfmesh.errors import SceneError
 from lfmesh.notebook import Shown
+from lfmesh.optics.gladstone_dale import air_density
 from lfmesh.scene.camera.file_choices import FILE_CHOICES
 from lfmesh.scene.changes import changed_table, opened, steps_of
 from lfmesh.scene.inputs import digest_of, files_of
@@ -61,7 +62,7 @@ class Scene(SceneParts, Shown):
         """Return the scene at a single wavelength, in place of its wavelengths or bands.
 
         A spectrum has no power at a single wavelength, so every spectrum is replaced by an even one. Surfaces and
-        media with a temperature or a spectral radiance emit 1 W/(m² sr) or 1 W/(mm³ sr) instead.
+        media with a temperature or a spectral radiance emit 1 W/(m² sr) or 1 W/(mm³ sr) instead. Air keeps its index.
 
         Parameters
         ----------
@@ -81,7 +82,13 @@ class Scene(SceneParts, Shown):
                 changes[f"targets[{i}].material.spectrum"] = None
         changes |= {f"lights[{i}].spectrum": None for i in range(len(self.lights))}
         for i, medium in enumerate(self.media):
-            if medium.temperature_k is not None or isinstance(medium.emission_w_mm3_sr, Spectrum):
+            is_hot = medium.temperature_k is not None
+            if medium.temperature_k is not None and medium.pressure_kpa is not None:
+                density = float(air_density(medium.temperature_k, medium.pressure_kpa))
+                changes |= {f"media[{i}].{key}": None for key in ("temperature_k", "pressure_kpa")}
+                changes[f"media[{i}].density_kg_m3"] = density
+                is_hot = medium.absorption_per_mm != 0.0
+            if is_hot or isinstance(medium.emission_w_mm3_sr, Spectrum):
                 changes |= {f"media[{i}].{key}": None for key in ("temperature_k", "spectrum")}
                 changes[f"media[{i}].emission_w_mm3_sr"] = 1.0
             elif medium.spectrum is not None:

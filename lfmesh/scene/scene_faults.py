@@ -93,7 +93,9 @@ def _spectrum_faults(scene: SceneParts) -> Iterator[Fault]:
         where = ("media", i)
         uses += [((*where, key), getattr(medium, key), False) for key in ("absorption_per_mm", "scattering_per_mm")]
         uses += [((*where, key), getattr(medium, key), True) for key in ("emission_w_mm3_sr", "spectrum")]
-        if medium.temperature_k is not None and not in_bands:
+        # The temperature of air that absorbs nothing sets its index alone; a grid may hold its pressure.
+        bends_alone = medium.absorption_per_mm == 0.0 and (medium.pressure_kpa is not None or medium.grid is not None)
+        if medium.temperature_k is not None and not in_bands and not bends_alone:
             yield Fault((*where, "temperature_k"), medium.temperature_k, NEEDS_BANDS)
     uses += [(("particles", i, "spectrum"), group.spectrum, True) for i, group in enumerate(scene.particles)]
     for where, spectrum, is_density in uses:

@@ -157,6 +157,7 @@ def volume_tables(
         scattering[i] = _coefficient(scene, medium.scattering_per_mm, lines, f"{where}.scattering_per_mm")
         row["absorption"] = row["scattering"] = row["emission"] = NOT_IN_GRID
         grid = _grid_of(scene, medium, where)
+        hot = _is_hot(medium, grid)
         spectrum = np.zeros(len(wavelengths_nm))
         if grid is not None:
             row["cells"], row["constant"] = grid.shape, grid.interpolation == "constant"
@@ -164,7 +165,7 @@ def volume_tables(
             row["low"], row["high"] = grid.bounds_mm
             for key, place in (("absorption_per_mm", "absorption"), ("scattering_per_mm", "scattering"),
                                ("emission_w_mm3_sr", "emission"), ("temperature_k", "emission")):  # fmt: skip
-                if key in grid.values:
+                if key in grid.values and (hot or key != "temperature_k"):
                     row[place] = filled
                     values.append(grid.values[key].ravel())
                     filled += grid.values[key].size
@@ -172,10 +173,10 @@ def volume_tables(
                 absorption[i] = 1.0
             if "scattering_per_mm" in grid.values:
                 scattering[i] = 1.0
-        if grid is not None and "temperature_k" in grid.values:
+        if hot and grid is not None and "temperature_k" in grid.values:
             row["emits"] = BY_TEMPERATURE
             spectrum = np.ones(len(wavelengths_nm))
-        elif medium.temperature_k is not None:
+        elif hot and medium.temperature_k is not None:
             row["emits"] = OF_BODY
             spectrum = lines.mean(planck_curve(medium.temperature_k, scene.reach_nm)) * lines.weight_nm
         elif grid is not None and "emission_w_mm3_sr" in grid.values:
@@ -398,11 +399,26 @@ def _grid_of(scene: Scene, medium: Medium, where: str) -> VoxelGrid | None:
     own = "temperature_k" if "temperature_k" in grid.values else "emission_w_mm3_sr"
     if own in grid.values and (medium.temperature_k is not None or medium.emission_w_mm3_sr != 0.0):
         raise SceneError(f"{where}: {given.file} holds {own}, but the medium has another emission; give one of them")
-    if own == "temperature_k" and scene.camera.sensor.bands is None:
-        raise SceneError(f"{where}.grid: temperature_k needs camera.sensor.bands: single wavelengths have no width")
-    if own == "temperature_k" and "absorption_per_mm" not in grid.values and medium.absorption_per_mm == 0.0:
-        raise SceneError(f"{where}.grid: temperature_k needs absorption_per_mm: without absorption no emission")
+    if not _is_hot(medium, grid):
+        return grid
+    key = f"{where}.grid: temperature_k" if own == "temperature_k" else f"{where}.temperature_k:"
+    if scene.camera.sensor.bands is None:
+        raise SceneError(f"{key} needs camera.sensor.bands: single wavelengths have no width")
+    if not _absorbs(medium, grid):
+        raise SceneError(f"{key} needs absorption_per_mm: without absorption no emission")
     return grid
+
+
+def _is_hot(medium: Medium, grid: VoxelGrid | None) -> bool:
+    """Return True if a medium emits by its temperature; that of air that absorbs nothing may set its index alone."""
+    values = {} if grid is None else grid.values
+    if medium.temperature_k is None and "temperature_k" not in values:
+        return False
+    return _absorbs(medium, grid) or (medium.pressure_kpa is None and "pressure_kpa" not in values)
+
+
+def _absorbs(medium: Medium, grid: VoxelGrid | None) -> bool:
+    return medium.absorption_per_mm != 0.0 or (grid is not None and "absorption_per_mm" in grid.values)
 
 
 def _coefficient(scene: Scene, value: float | Spectrum, lines: Lines, where: str) -> Array:

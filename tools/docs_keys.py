@@ -40,6 +40,8 @@ UNITS = {
     "_rad": "rad",
     "_deg": "degrees",
     "_kpa": "kPa",
+    "_kg_m3": "kg/m³",
+    "_m3_kg": "m³/kg",
     "_k": "K",
     "temperature_c": "°C",
 }

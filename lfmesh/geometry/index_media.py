@@ -23,9 +23,6 @@ from lfmesh.scene.objects.shapes import Box
 
 Array = NDArray[np.float64]
 
-FORMULA_NODES = 33
-"""Nodes along each axis on which a formula is sampled to choose its steps."""
-
 LARGEST_STEP = 1e-3
 """Largest difference of the index across the bounds of a field."""
 
@@ -51,22 +48,24 @@ class IndexMedium:
         Its path in the scene file, with its own name if it has one.
     to_world : (3, 4) float64
         Its own frame as seen from the world.
-    field : IndexField
-        In its own frame, at all wavelengths. Of a formula, one that interpolates the formula at the wavelength with the
-        steepest index, for its bounds and steps alone.
+    bounds_mm : (2, 3) float64
+        Lowest and highest corner of the box in which it bends light, own frame.
+    field : IndexField or None
+        At all wavelengths, in its own frame; None if the index is a formula.
     formulas : tuple of GradientProfile
-        Exact index at each wavelength, own frame; empty for a field on a grid.
+        Formula of the index at each wavelength, own frame; empty if there is a field.
     """
 
     number: int
     name: str
     to_world: Array
-    field: IndexField
+    bounds_mm: Array
+    field: IndexField | None
     formulas: tuple[GradientProfile, ...] = ()
 
     def corners_mm(self) -> Array:
         """Return the corners of its box in the world, (8, 3)."""
-        low, high = self.field.bounds_mm
+        low, high = self.bounds_mm
         picks = np.array(np.meshgrid(*[[0, 1]] * 3, indexing="ij")).reshape(3, 8).T
         return frame.points(self.to_world, np.where(picks == 0, low, high))
 
@@ -85,10 +84,10 @@ class IndexMedium:
         (n,) float64
             NaN where n² of a formula is negative.
         """
-        if self.formulas:
-            with np.errstate(invalid="ignore"):
-                return np.sqrt(fields_at(gradient_table([self.formulas[column]]), 0, points)[:, 0])
-        return np.asarray(indices_at(field_table([self.field]), column, points)[:, 0])
+        if self.field is not None:
+            return np.asarray(indices_at(field_table([self.field]), column, points)[:, 0])
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(fields_at(gradient_table([self.formulas[column]]), 0, points)[:, 0])
 
 
 def bends(scene: Scene, medium: Medium) -> bool:
@@ -158,10 +157,10 @@ def index_medium(scene: Scene, number: int, wavelengths_nm: tuple[float, ...]) -
     bounds = _bounds(medium, grid, name)
     if isinstance(medium.index, Gradient):
         formulas = tuple(medium.index.profile(each) for each in wavelengths_nm)
-        return IndexMedium(number, name, to_world, _sampled(formulas, bounds, name), formulas)
+        return IndexMedium(number, name, to_world, bounds, None, formulas)
     try:
         values, law = _values_and_law(scene, medium, {} if grid is None else dict(grid.values), wavelengths_nm)
-        return IndexMedium(number, name, to_world, _interpolated(values, law, grid, bounds))
+        return IndexMedium(number, name, to_world, bounds, _interpolated(values, law, grid, bounds))
     except SceneError as error:
         raise SceneError(f"{name}: {error}") from None
 
@@ -233,23 +232,6 @@ def _values_and_law(
     return air_density(temperature, quantity("pressure_kpa")), law
 
 
-def _sampled(formulas: tuple[GradientProfile, ...], bounds: Array, name: str) -> IndexField:
-    """Return a field that interpolates the steepest of some formulas from face to face of a box."""
-    spacing = (bounds[1] - bounds[0]) / (FORMULA_NODES - 1)
-    axes = [low + step * np.arange(FORMULA_NODES) for low, step in zip(bounds[0], spacing, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    steepest, squares = -1.0, np.zeros(0)
-    # Without dispersion all are equal.
-    for formula in {(each.numbers.tobytes(), each.material.tobytes()): each for each in formulas}.values():
-        found = fields_at(gradient_table([formula]), 0, points)
-        if not (np.isfinite(found).all() and (found[:, 0] > 0.0).all()):
-            raise SceneError(f"{name}: index: n² is 0 or less somewhere within the bounds; make them smaller")
-        steepness = float(np.abs(found[:, 1:]).max())
-        if steepness > steepest:
-            steepest, squares = steepness, found[:, 0]
-    return index_field(np.sqrt(squares).reshape((FORMULA_NODES,) * 3), spacing, bounds[0], bounds)
-
-
 def boxes_overlap(one: IndexMedium, other: IndexMedium) -> bool:
     """Return True if the boxes of two media have a volume in common; boxes that touch do not.
 
@@ -261,8 +243,8 @@ def boxes_overlap(one: IndexMedium, other: IndexMedium) -> bool:
     one, other : IndexMedium
     """
     turn = one.to_world[:, :3].T @ other.to_world[:, :3]
-    half = [0.5 * (each.field.bounds_mm[1] - each.field.bounds_mm[0]) for each in (one, other)]
-    middles = [frame.points(each.to_world, each.field.bounds_mm.mean(axis=0)) for each in (one, other)]
+    half = [0.5 * (each.bounds_mm[1] - each.bounds_mm[0]) for each in (one, other)]
+    middles = [frame.points(each.to_world, each.bounds_mm.mean(axis=0)) for each in (one, other)]
     apart = one.to_world[:, :3].T @ (middles[1] - middles[0]).ravel()
     axes = [*np.eye(3), *turn.T, *(np.cross(a, b) for a in np.eye(3) for b in turn.T)]
     size = float(np.abs(apart).max() + half[0].max() + half[1].max())
@@ -282,7 +264,7 @@ def _refuse_steps(scene: Scene, medium: IndexMedium, wavelengths_nm: tuple[float
     camera = scene.camera
     matter = camera.object_medium or camera.lens.object_medium
     outside = in_air(matter, camera.air).medium if matter is not None else None
-    points = np.concatenate(list(_face_points(medium.field)))
+    points = np.concatenate(_face_points(medium))
     for column, wavelength in enumerate(wavelengths_nm):
         around = refractive_index(outside, wavelength)
         found = medium.indices(column, points)
@@ -294,10 +276,12 @@ def _refuse_steps(scene: Scene, medium: IndexMedium, wavelengths_nm: tuple[float
             )
 
 
-def _face_points(field: IndexField) -> list[Array]:
-    """Return points on each face of a field, (n, 3): at least two for each voxel, and those on the edges."""
-    low, high = field.bounds_mm
-    counts = np.maximum(np.ceil(2.0 * (high - low) / field.spacing_mm).astype(int) + 1, FACE_POINTS)
+def _face_points(medium: IndexMedium) -> list[Array]:
+    """Return points on each face of a field, (n, 3): those on the edges, and at least two for each voxel."""
+    low, high = medium.bounds_mm
+    counts = np.full(3, FACE_POINTS)
+    if medium.field is not None:
+        counts = np.maximum(np.ceil(2.0 * (high - low) / medium.field.spacing_mm).astype(int) + 1, counts)
     axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
     faces = []
     for axis in range(3):

@@ -223,6 +223,22 @@ _CHILDREN = (
 POLARISED = _with_vectors(PACKET, *_STATE, *_CHILDREN)
 """Record of a packet in a scene with polarised light."""
 
+BENT = _with_vectors(PACKET, ("chord", (9,)))
+"""Record of a packet in a scene with media that bend light."""
+
+(LENGTH, END_TX, END_TY, END_TZ, END_STATE, STATE, OPTICAL, PLANE, EVENT_AT_END) = range(9)
+"""Elements of `chord`, the straight way to the next node; the others hold once the length is above 0.
+
+The length is in mm, inf if nothing bends the ray ahead. At the node: the optical ray vector, the state, and the event:
+NO_EVENT, or REFRACTED_AT_FACE or REFLECTED_AT_FACE of a field. `STATE` is the state at the start: UNKNOWN, OUTSIDE all
+fields, k + 1 in field k, or OUTSIDE − (k + 1) just behind field k, which a straight ray does not meet again. In a
+field, `OPTICAL` is the length of the optical ray vector, or 0 if it is the index of the place, and `PLANE` the axis and
+slab of the steps, see `events.bending`.
+"""
+
+UNKNOWN, OUTSIDE = 0.0, -1.0
+NO_EVENT, REFRACTED_AT_FACE, REFLECTED_AT_FACE = 0.0, 1.0, 2.0
+
 SAMPLE_SHIFT = 40
 PIXEL_MASK = (1 << SAMPLE_SHIFT) - 1
 """`source` of a packet that began at a pixel: the pixel in the lower bits, above them the number of its sample in the

@@ -280,6 +280,8 @@ class ObjectTables(NamedTuple):
     volumes: Any = None
     # RoundFaces if rays meet spheres, cylinders or disks themselves, else None, likewise.
     rounds: Any = None
+    # BendingFields of media that bend light, else None, likewise.
+    fields: Any = None
 
 
 @by_address

@@ -153,6 +153,10 @@ class FoldedPatchesWarning(PictureWarning):
     """The normals of curved glass do not match its facets: grazing rays may miss it."""
 
 
+class CoarseFieldWarning(PictureWarning):
+    """The grid of a medium that bends light is too coarse: its deflection is wrong by more than rounding."""
+
+
 class ClearAirWarning(PictureWarning):
     """A projection matrix ignores absorbing or scattering media of the scene."""
 

@@ -41,6 +41,7 @@ def check(scene: SceneFile, /) -> int:
 
     Exits with 0 if the scene can be rendered, whatever the warnings, and with 2 if it cannot.
     """
+    from lfmesh.geometry.index_media import any_bends
     from lfmesh.geometry.lens.solved_camera import first_order, mesh_lines, solved_camera
     from lfmesh.geometry.objects.placement import placements
     from lfmesh.geometry.objects.tanks import tank_lines
@@ -91,6 +92,11 @@ def check(scene: SceneFile, /) -> int:
         from lfmesh.transport.checks.media_places import media_places
 
         lines += [line for place in media_places(world) for line in place.lines(world.scene.primary_nm)]
+    if any_bends(world.scene):
+        from lfmesh.transport.tables.bending_fields import bending_media
+        from lfmesh.transport.tables.field_lines import field_lines
+
+        lines += field_lines(bending_media(world.scene, world.lines.wavelengths_nm), world.scene, world.facts)
     print("\n".join(map(wrapped, lines)))
     return 0
 

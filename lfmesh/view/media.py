@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lfmesh.geometry import frame
+from lfmesh.geometry.index_media import bends
 from lfmesh.geometry.meshes.mesh import Array, Mesh
 from lfmesh.geometry.objects.primitives import primitive
 from lfmesh.scene.light.spectra import Spectrum, spectral_in_words
@@ -108,11 +109,12 @@ def shown_medium(world: World, number: int) -> ShownMedium:
     """Return a medium of a built scene, by its number."""
     medium = world.scene.media[number]
     amounts = _amounts(world, number, medium)
+    words = [*amounts.values(), *(["bends light"] if bends(world.scene, medium) else [])]
     effect = next(iter(amounts), "")
     body = _body(world, number)
     return ShownMedium(
         medium.name or f"media[{number}]",
-        ", ".join(amounts.values()) or f"has no effect at {world.scene.primary_nm:g} nm",
+        ", ".join(words) or f"has no effect at {world.scene.primary_nm:g} nm",
         effect,
         body,
         medium.inside or "",
@@ -174,7 +176,9 @@ def _emission(world: World, number: int, medium: Medium) -> str:
             return f"glows at up to {most:.4g} K" if most > 0.0 else ""
         return f"emits up to {most:.3g} W/(mm³ sr)" if most > 0.0 else ""
     if medium.temperature_k is not None:
-        return f"glows at {medium.temperature_k:g} K"
+        # That of air that absorbs nothing sets its index alone.
+        emits = bool(world.tables.objects.volumes.emission[number].any())
+        return f"glows at {medium.temperature_k:g} K" if emits else ""
     emission = medium.emission_w_mm3_sr
     if isinstance(emission, Spectrum):
         return f"emits {spectral_in_words(emission)}, in W/(mm³ sr nm)"

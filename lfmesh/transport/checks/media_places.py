@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lfmesh.geometry import frame
+from lfmesh.geometry.index_media import bends
 from lfmesh.geometry.objects.placement import in_field, share_of_field
 from lfmesh.scene import FirstOrder
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
@@ -99,6 +100,7 @@ def _media(world: World) -> Iterator[MediumPlace]:
             "absorbs": volumes.absorption[number, colour] > 0.0,
             "scatters": volumes.scattering[number, colour] > 0.0,
             "emits": bool(volumes.emission[number].any()),
+            "bends light": bends(world.scene, medium),
         }
         what = ", ".join(word for word, does in takes.items() if does) or "has no effect at this wavelength"
         to_camera = frame.compose(world.tables.frames[OBJECT_FRAME, CAMERA_FRAME], frame.inverse(row["to_own"]))

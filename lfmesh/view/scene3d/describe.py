@@ -6,6 +6,7 @@ from collections.abc import Set
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import Medium, medium_in_words, refractive_index
 from lfmesh.optics.gradients import fields_at, gradient_table
+from lfmesh.scene import Medium as SceneMedium
 from lfmesh.scene import Surface
 from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.first_order.phase_lines import least_period_mm
@@ -249,9 +250,19 @@ def _medium_round(world: World, number: int) -> Rows:
         ("effect", shown.amounts),
         ("inside", medium.inside or ("air" if outside is None else _medium(world, outside))),
         *((key, spectral_in_words(value)) for key, value in values if value),
+        *_index_round(medium),
         *([("bounds", medium.bounds.kind), *_fields(medium.bounds)] if medium.bounds is not None else []),
         *([("grid", medium.grid.file)] if medium.grid is not None else []),
     ]
+
+
+def _index_round(medium: SceneMedium) -> Rows:
+    """Return the keys that set the index of a medium."""
+    if isinstance(medium.index, Gradient):
+        return [("index", medium.index.in_words())]
+    keys = ("index", "density_kg_m3", "gladstone_dale_m3_kg", "pressure_kpa")
+    keys = (*keys, "temperature_k") if medium.pressure_kpa is not None else keys
+    return [(key, f"{value:g}") for key in keys if (value := getattr(medium, key)) is not None]
 
 
 def _particles(world: World, number: int) -> Rows:

@@ -21,6 +21,7 @@ try:
             export,
             fit,
             frames,
+            grid,
             lens,
             lens_sheet,
             lightfield,

@@ -199,6 +199,7 @@ def test_the_promised_scenes_are_there() -> None:
         "metalens_array",
         "panel_and_tube",
         "polarised",
+        "schlieren_plume",
         "tank",
         "underwater",
         *promised,
@@ -324,7 +325,7 @@ def test_bracket_is_a_closed_solid_of_the_size_its_scene_expects() -> None:
     assert 1 - bracket.euler_number / 2 == 5
 
 
-@pytest.mark.parametrize("name", ["chart", "siemens"])
+@pytest.mark.parametrize("name", ["chart", "siemens", "dots"])
 def test_chart_opens_as_a_contrasty_8_bit_picture(name: str) -> None:
     path = ASSETS / "charts" / f"{name}.png"
     assert path.stat().st_size < 500_000

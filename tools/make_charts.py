@@ -1,11 +1,12 @@
-"""Draw the test charts of the example scenes: assets/charts/chart.png and assets/charts/siemens.png.
+"""Draw the test charts of the example scenes: chart.png, siemens.png and dots.png in assets/charts.
 
-Both are 8-bit grey sRGB pictures. The chart mixes coarse features, which survive the one-pixel-per-lenslet
-resolution of a plenoptic camera, with fine ones for a conventional camera. Everything is drawn larger and
-reduced, so that edges are antialiased.
+All are 8-bit grey sRGB pictures. The chart mixes coarse features, which survive the one-pixel-per-lenslet
+resolution of a plenoptic camera, with fine ones for a conventional camera. The dots are the background of schlieren
+pictures. Everything is drawn larger and reduced, so that edges are antialiased.
 """
 
 import math
+import random
 from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
@@ -14,6 +15,7 @@ ASSETS = Path(__file__).resolve().parent.parent / "assets"
 
 CHART_PX = 1536
 SIEMENS_PX = 1024
+DOTS_PX = 1024
 OVERSAMPLING = 4
 
 PAPER = 236
@@ -156,7 +158,18 @@ def siemens() -> Sheet:
     return sheet
 
 
+def dots() -> Sheet:
+    """Return dots on a lattice of 32 × 32 cells, each at a random place in its cell."""
+    sheet, cells, draw = Sheet(DOTS_PX), 32, random.Random(0)
+    for row in range(cells):
+        for column in range(cells):
+            x, y = ((k + 0.5 + 0.5 * (draw.random() - 0.5)) / cells for k in (column, row))
+            sheet.disk(x, y, 0.24 / cells, INK)
+    return sheet
+
+
 def main() -> None:
+    dots().save(ASSETS / "charts" / "dots.png")
     chart().save(ASSETS / "charts" / "chart.png")
     siemens().save(ASSETS / "charts" / "siemens.png")
 

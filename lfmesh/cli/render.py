@@ -93,8 +93,8 @@ def check(scene: SceneFile, /) -> int:
 
         lines += [line for place in media_places(world) for line in place.lines(world.scene.primary_nm)]
     if any_bends(world.scene):
+        from lfmesh.transport.checks.field_lines import field_lines
         from lfmesh.transport.tables.bending_fields import bending_media
-        from lfmesh.transport.tables.field_lines import field_lines
 
         lines += field_lines(bending_media(world.scene, world.lines.wavelengths_nm), world.scene, world.facts)
     print("\n".join(map(wrapped, lines)))

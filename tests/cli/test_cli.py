@@ -419,7 +419,8 @@ def test_schema_is_the_scenes_json_schema(capsys: pytest.CaptureFixture[str]) ->
 
 
 HELPED = ["", "demo", "check", "render", "white", "decode", "refocus", "schema", "study", "fit", "dataset", "matrix"]
-HELPED += ["lens", "lens list", "lens convert", "lens sheet", "frames", "camera-model", "compare", "view", "export", "grid"]
+HELPED += ["lens", "lens list", "lens convert", "lens sheet", "frames", "camera-model", "compare", "view", "export"]
+HELPED += ["grid"]
 
 
 @pytest.mark.parametrize("command", HELPED)

@@ -142,18 +142,35 @@ def _depths(
         Corners of its box, camera frame.
     facts : FirstOrder
     """
+    start, way = lines_of_sight(seen, facts)
+    to_own = frame.inverse(to_camera)
+    found = _along(volumes, number, colour, frame.points(to_own, start), frame.directions(to_own, way))
+    return float(found[0]), float(found.max())
+
+
+def lines_of_sight(seen: Array, facts: FirstOrder) -> tuple[Array, Array]:
+    """Return starts and unit directions of the axis and of chief rays to the part of the field that holds a box.
+
+    Parameters
+    ----------
+    seen : (8, 3) float64, mm
+        Corners of the box, camera frame.
+    facts : FirstOrder
+
+    Returns
+    -------
+    start, way : (n, 3) float64
+        Camera frame; the axis comes first.
+    """
     field = facts.field
     start, way = np.zeros((2, 1 + LINES * LINES, 3))
     way[:, 2] = -1.0
     if np.isfinite(field.slope).all():
         low, high = _part_of_field(seen, facts)
         places = low + (high - low) * np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, LINES)] * 2), axis=-1).reshape(-1, 2)
-        # The axis comes first.
         start[1:, :2], way[1:, :2] = places * field.at_vertex_mm, -places * field.slope
     way /= np.linalg.norm(way, axis=1)[:, None]
-    to_own = frame.inverse(to_camera)
-    found = _along(volumes, number, colour, frame.points(to_own, start), frame.directions(to_own, way))
-    return float(found[0]), float(found.max())
+    return start, way
 
 
 def _part_of_field(seen: Array, facts: FirstOrder) -> tuple[Array, Array]:

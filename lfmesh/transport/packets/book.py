@@ -99,6 +99,8 @@ class Book:
         Slots of absorption in media.
     absorbers : (n,) int64
         Slots of absorption in glasses and liquids.
+    trapped : (n,) int64
+        Slots of light that never leaves a medium because it bends it.
     """
 
     slots: tuple[Slot, ...]
@@ -109,11 +111,12 @@ class Book:
     coatings: dict[str, int] = field(default_factory=dict)
     media: Slots = field(default_factory=lambda: np.zeros(0, np.int64))
     absorbers: Slots = field(default_factory=lambda: np.zeros(0, np.int64))
+    trapped: Slots = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
     def of_bodies(
         cls, elements: int, targets: list[str], spaces: list[str], coatings: Sequence[str] = (),
-        media: Sequence[str] = (), absorbers: Sequence[str] = (),
+        media: Sequence[str] = (), absorbers: Sequence[str] = (), bending: Sequence[str] = (),
     ) -> "Book":  # fmt: skip
         """Return the book of a scene.
 
@@ -123,9 +126,9 @@ class Book:
             Number of lens elements.
         targets, spaces : list of str
             Names of the targets, and of the spaces of the lens.
-        coatings, media, absorbers : sequence of str
-            Names of coatings and of other light lost at faces, of media in object space, and of bodies of absorbing
-            glass or liquid.
+        coatings, media, absorbers, bending : sequence of str
+            Names of coatings and of other light lost at faces, of media in object space, of bodies of absorbing glass
+            or liquid, and of media that bend light.
         """
         slots = list(FIXED)
         numbers = []
@@ -139,12 +142,16 @@ class Book:
             slots += [Slot(name, account) for name in names]
         first = len(slots)
         within = [f"inside {name}" for name in absorbers]
-        slots += [Slot(name, ABSORBED) for name in (*coatings, *media, *within)]
+        traps = [f"trapped in {name}" for name in bending]
+        slots += [Slot(name, ABSORBED) for name in (*coatings, *media, *within, *traps)]
         edges, of_targets, lost_in_targets, lost_in_spaces = numbers
         by_name = {name: first + i for i, name in enumerate(coatings)}
         until = first + len(coatings) + len(media)
-        of_media, of_absorbers = np.arange(first + len(coatings), until), np.arange(until, len(slots))
-        return cls(tuple(slots), edges, of_targets, lost_in_targets, lost_in_spaces, by_name, of_media, of_absorbers)
+        of_media, of_absorbers = np.arange(first + len(coatings), until), np.arange(until, until + len(within))
+        trapped = np.arange(until + len(within), len(slots))
+        return cls(
+            tuple(slots), edges, of_targets, lost_in_targets, lost_in_spaces, by_name, of_media, of_absorbers, trapped
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.slots)

@@ -31,5 +31,8 @@ IN_ORDER = 7 << 20
 TOWARDS_SCATTERED = 8 << 20
 """Ray past a lamp, whose light a medium scatters."""
 
+IN_BENDING = 9 << 20
+"""Rest of a path behind a node in an index field."""
+
 EMITTED = 16 << 20
 """Place in the texture of an emitting facet."""

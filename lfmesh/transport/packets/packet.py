@@ -114,8 +114,11 @@ EVENT_OF_STATUS = np.array([LAST_EVENT[status] for status in Status], dtype=np.i
 FACES_AT, ENDS_AT = 1000, 2000
 FACES = (
     "mla curved face", "mla flat face", "target", "glass", "cover front face", "cover rear face", "mla back face",
+    "index field",
 )  # fmt: skip
-CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS, COVER_FRONT, COVER_REAR, BACK_FACE = range(FACES_AT, FACES_AT + len(FACES))
+CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS, COVER_FRONT, COVER_REAR, BACK_FACE, IN_FIELD = range(
+    FACES_AT, FACES_AT + len(FACES)
+)
 
 NO_SURFACE = -1
 """Placeholder for the number of a surface, facet, cell or vertex."""
@@ -223,21 +226,24 @@ _CHILDREN = (
 POLARISED = _with_vectors(PACKET, *_STATE, *_CHILDREN)
 """Record of a packet in a scene with polarised light."""
 
-BENT = _with_vectors(PACKET, ("chord", (9,)))
+CHORD = 10
+BENT = _with_vectors(PACKET, ("chord", (CHORD,)))
 """Record of a packet in a scene with media that bend light."""
 
-(LENGTH, END_TX, END_TY, END_TZ, END_STATE, STATE, OPTICAL, PLANE, EVENT_AT_END) = range(9)
-"""Elements of `chord`, the straight way to the next node; the others hold once the length is above 0.
+LENGTH, END_TX, END_TY, END_TZ, END_STATE, EVENT_AT_END, STATE, OPTICAL, PLANE, CHORDS = range(CHORD)
+"""Elements of `chord`, the straight way to the next node, where a medium changes the direction.
 
-The length is in mm, inf if nothing bends the ray ahead. At the node: the optical ray vector, the state, and the event:
-NO_EVENT, or REFRACTED_AT_FACE or REFLECTED_AT_FACE of a field. `STATE` is the state at the start: UNKNOWN, OUTSIDE all
-fields, k + 1 in field k, or OUTSIDE − (k + 1) just behind field k, which a straight ray does not meet again. In a
-field, `OPTICAL` is the length of the optical ray vector, or 0 if it is the index of the place, and `PLANE` the axis and
-slab of the steps, see `events.bending`.
+LENGTH, mm, is 0 until the chord is found, and inf if nothing bends the ray ahead. At the end of the chord: the optical
+ray vector (END_T...), the state, and an event at a face of a field, or NO_EVENT. STATE at the start is UNKNOWN, OUTSIDE
+all fields, k + 1 in field k, or OUTSIDE − (k + 1) just behind field k, which a straight ray does not meet again. In a
+field, OPTICAL is the length of the optical ray vector, or 0 for the index of the place; PLANE is the axis plus three
+times the slab ahead, or −1; CHORDS counts the chords since the entry.
 """
 
 UNKNOWN, OUTSIDE = 0.0, -1.0
 NO_EVENT, REFRACTED_AT_FACE, REFLECTED_AT_FACE = 0.0, 1.0, 2.0
+
+NO_PLANE = -1.0
 
 SAMPLE_SHIFT = 40
 PIXEL_MASK = (1 << SAMPLE_SHIFT) - 1
@@ -269,7 +275,7 @@ NODE = np.dtype(
         ("position", "f8", (3,)),  # mm, world frame
         ("weight", "f8"),
         ("surface", "i8"),
-        ("part", "i8"),  # lenslet (row by row) of the array, or number of the target; −1 elsewhere
+        ("part", "i8"),  # lenslet (row by row) of the array, or number of the target or medium; −1 elsewhere
         ("event", "i8"),
         ("beyond", "i8"),  # medium on the far side of an interface; at a start, around the packet; −1 elsewhere
     ]
@@ -294,6 +300,7 @@ class Flow(NamedTuple):
     # PolarisationTables if packets are POLARISED, else None: code for the other case is not even compiled.
     polarised: Any = None
     asked: Any = None  # working memory, see `lights.many_lamps.ASKED`; None if no kernel asks lamps
+    bending: Any = None  # BendingFields if packets are BENT, else None, as for `polarised`
 
 
 # Thinning.split
@@ -376,6 +383,30 @@ def keep_state(polarised: Any, packet: Any, kept: Any) -> None:
 
 
 @inlined
+def keep_chord(bending: Any, packet: Any, kept: Any) -> None:
+    """Copy a packet's chord, if any, to another packet on the same ray.
+
+    Parameters
+    ----------
+    bending : BendingFields or None
+    packet, kept : BENT
+    """
+    if bending is None:
+        return
+    for i in range(CHORD):
+        kept.chord[i] = packet.chord[i]
+
+
+@inlined
+def _begin_chord(bending: Any, parent: Any, child: Any) -> None:
+    """Let a child find its chord in the field, or outside the fields, where its parent is."""
+    if bending is None:
+        return
+    child.chord[LENGTH], child.chord[STATE] = 0.0, max(parent.chord[STATE], OUTSIDE)
+    child.chord[OPTICAL], child.chord[PLANE], child.chord[CHORDS] = 0.0, NO_PLANE, 0.0
+
+
+@inlined
 def count_event(packet: Any) -> None:
     """Count an event of a packet, and reset its number of moves.
 
@@ -432,5 +463,6 @@ def put(
     packet.colour, packet.space, packet.events, packet.medium = colour, space, events, medium
     packet.tries, packet.kind, packet.frame, packet.path, packet.moves = 0, kind, frame, path, moves
     keep_state(flow.polarised, parent, packet)
+    _begin_chord(flow.bending, parent, packet)
     flow.tops[station] = top + 1
     return packet

@@ -15,6 +15,7 @@ from lfmesh.errors import (
     warn_caller,
 )
 from lfmesh.geometry import frame
+from lfmesh.geometry.index_media import bends
 from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
@@ -29,25 +30,29 @@ from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     LENS,
+    OBJECT_FRAME,
     OBJECTS,
     WORLD_FRAME,
 )
+from lfmesh.transport.refused_fields import refuse_untraceable_fields
 from lfmesh.transport.refused_glass import closed_gaps, cut_bodies, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.regions.glass_round import places_round
 from lfmesh.transport.regions.seen_lights import with_seen_lights
 from lfmesh.transport.regions.standing_lamps import off_surfaces
+from lfmesh.transport.tables.bending_fields import bending_fields, bending_media, with_free, with_short_chords
 from lfmesh.transport.tables.cover import apparent_frames, cover_tables
+from lfmesh.transport.tables.field_lines import coarse_fields, pixel_sizes
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.gradient_cells import with_gradient_cells
 from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables
 from lfmesh.transport.tables.lens import lens_tables, mla_tables, with_diffracting_stop, with_diffraction
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList, clear, index2_behind_lens
-from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables
+from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, with_fields
 from lfmesh.transport.tables.particles import corners_round, particle_tables, refuse_particles_behind
 from lfmesh.transport.tables.polarisation import polarisation_tables
-from lfmesh.transport.tables.tables import ROUGH, AimTables, Camera, SensorTables, Tables
+from lfmesh.transport.tables.tables import AIR, ROUGH, AimTables, Camera, SensorTables, Tables
 from lfmesh.transport.tables.volumes import corners_in_camera, reach_of
 from lfmesh.transport.world_cache import keep, key_of, known, let_go, refuse_other
 
@@ -71,9 +76,10 @@ def book_of(scene: Scene, shape: LensShape) -> Book:
         element += medium is not None
         spaces[k] = f"lens[{element}]" if medium is not None else f"the air behind lens[{element}]"
     media = [medium.name or f"media[{i}]" for i, medium in enumerate(scene.media)]
+    bending = [name for name, medium in zip(media, scene.media, strict=True) if bends(scene, medium)]
     known, elements = MediumList.of(scene), [shape.media[k + 1] for k in shape.elements]
     absorbers = [known.places(number, elements) for number in known.absorbing]
-    return Book.of_bodies(len(shape.elements), targets, spaces, coatings_in_book(scene), media, absorbers)
+    return Book.of_bodies(len(shape.elements), targets, spaces, coatings_in_book(scene), media, absorbers, bending)
 
 
 def _refuse_rough_patches(scene: Scene, shape: LensShape, interfaces: InterfaceTables) -> None:
@@ -189,12 +195,21 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     ranks = refuse_untraceable_glass(
         scene, targets, frame.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
     )
+    bent = bending_media(scene, wavelengths_nm)
     doubtful = (
         *(ClosedGapWarning(line) for line in closed_gaps(scene, targets)),
         *(CutBodiesWarning(line) for line in cut_bodies(scene, targets)),
+        *coarse_fields(bent),
     )
     warn_caller(doubtful)
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
+    refuse_untraceable_fields(scene, bent, targets, moves, float(lens.box_low[2]))
+    fields = bending_fields(bent, moves, objects.media.indices[AIR], book.trapped)
+    if fields is not None:
+        fields = with_free(fields, [*(t.hull.moved(moves[WORLD_FRAME, OBJECT_FRAME]).vertices for t in targets),
+                                    housing.moved(moves[CAMERA_FRAME, OBJECT_FRAME]).vertices])  # fmt: skip
+        fields = with_short_chords(fields, pixel_sizes(bent, scene, report))
+    objects = with_fields(objects, fields, scene, object_mesh)
     columns, rows = scene.camera.sensor.pixels
     own = scene.camera.sensor
     sensor = SensorTables(columns, rows, own.pixel_mm, own.reflectance, index2_behind_lens(scene, wavelengths_nm))

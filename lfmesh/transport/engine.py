@@ -25,6 +25,7 @@ from lfmesh.transport.lights.many_lamps import ASKED, MOST_NODES
 from lfmesh.transport.packets.packet import (
     BACK_CELLS,
     BACK_CELLS_MESH,
+    BENT,
     BY_MESH,
     BY_ORDER,
     CELLS,
@@ -120,6 +121,8 @@ class Workspace:
         self.chunk = chunk
         polarised = self.tables.polarised is not None
         packet, ended = (POLARISED, POLARISED_END) if polarised else (PACKET, END)
+        if self.tables.objects.fields is not None:
+            packet = BENT
         self.tops = np.zeros(TOPS, np.int64)
         self.stacks = Stacks(packet, self.tops, max(CHILDREN, most_orders(self.tables)))
         self.asked = np.zeros(MOST_NODES, ASKED)
@@ -199,6 +202,7 @@ class Workspace:
             nodes=self.nodes,
             polarised=self.tables.polarised,
             asked=self.asked,
+            bending=self.tables.objects.fields,
         )
 
     def ends(self) -> NDArray[np.void]:
@@ -292,7 +296,7 @@ class Workspace:
                 found = self._find(face.cells, count)
             shade_cells(wave, found, self.mla_block, self.numbers, face, frames, lens_surfaces, options, flow, in_order)
         elif station == OBJECTS:
-            admit_to_objects(wave, origins, directions, frames)
+            admit_to_objects(wave, origins, directions, frames, tables.objects.fields)
             found = self._find(OBJECTS, count)
             # Only the box of the lens is used there: one compiled kernel for all lenses.
             shade_objects(wave, found, clear(lens), self._object_space(flow))

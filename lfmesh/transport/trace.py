@@ -25,6 +25,7 @@ from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.sources.face_starts import before_faces
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
+from lfmesh.transport.tables.bending_fields import at_wavelength as fields_at_wavelength
 from lfmesh.transport.tables.gradient_cells import with_gradient_cells
 from lfmesh.transport.tables.gradient_spaces import gradient_spaces, has_gradients
 from lfmesh.transport.tables.hosts import hosts_of
@@ -306,6 +307,9 @@ def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
         hosts = hosts_of(world.scene, world.targets, objects.rank, objects.medium, objects.media)
         volumes, own = volumes_at(objects.volumes, world.scene, tables.frames, line, hosts)
         objects = objects._replace(volumes=volumes, media=own)
+    if objects.fields is not None:
+        wavelengths = world.lines.wavelengths_nm[0], wavelength_nm
+        objects = objects._replace(fields=fields_at_wavelength(objects.fields, world.scene, wavelengths, objects.media))
     array = with_media(tables.mla, media(tables.mla.medium), interfaces=interfaces.mla)
     return tables._replace(
         lens=tables.lens._replace(

@@ -11,6 +11,7 @@ from lfmesh.errors import (
     LfmeshError,
     PictureWarning,
 )
+from lfmesh.geometry import frame
 from lfmesh.geometry.array.array_mesh import mla_mesh
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.lens_shape import LensShape
@@ -33,11 +34,13 @@ from lfmesh.transport.packets.packet import (
     FACES,
     FACES_AT,
     MLA_FRAME,
+    OBJECT_FRAME,
     SENSOR_FRAME,
     WORLD_FRAME,
 )
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.sequences.ghosts import GhostTables
+from lfmesh.transport.tables.bending_fields import boxes_of_fields
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.particles import ParticleTables
@@ -184,8 +187,11 @@ class World(Shown):
 
     @cached_property
     def surroundings(self) -> Surroundings:
-        """Bounds of lens, housing and targets, for rays that can do without Embree."""
+        """Bounds of lens, housing, targets and media that bend light, for rays that can do without Embree."""
+        to_world = self.tables.frames[OBJECT_FRAME, WORLD_FRAME]
+        fields = [frame.points(to_world, corners) for corners in boxes_of_fields(self.tables.objects.fields)]
         targets = [target.hull for target in self.targets]
+        targets += [Mesh(corners, np.zeros((0, 3), np.int64)) for corners in fields]
         return surroundings_of(self.tables.lens, self.lens_shape, self.housing, targets, self.tables.frames)
 
     @cached_property

@@ -132,7 +132,7 @@ def _followed(work: Workspace, counts: NDArray[np.bool_]) -> Segments:
     while top := int(work.tops[OBJECTS]):
         fresh = work.stacks.waiting(OBJECTS)[known:]
         unused = np.empty((len(fresh), 3), np.float32)
-        admit_to_objects(fresh, unused, unused.copy(), work.tables.frames)
+        admit_to_objects(fresh, unused, unused.copy(), work.tables.frames, work.tables.objects.fields)
         p = np.stack([fresh[axis] for axis in ("x", "y", "z")], axis=-1)
         is_child = np.ones(len(fresh), np.bool_)
         if len(starts):

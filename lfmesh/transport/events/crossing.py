@@ -37,6 +37,7 @@ from lfmesh.transport.packets.packet import (
     WORLD_FRAME,
     Flow,
     Options,
+    keep_chord,
     keep_state,
     put,
     sample_of,
@@ -389,6 +390,7 @@ def requery(
     )  # fmt: skip
     again.tries = -tries - 1 if missed else tries + 1
     again.limit = limit
+    keep_chord(flow.bending, packet, again)
 
 
 @inlined

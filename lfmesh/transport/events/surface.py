@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.objects.round_faces import place_in_picture, point_at, round_normal
 from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.transport.events.bending import squared_index_ratio
 from lfmesh.transport.events.facets import barycentric
 from lfmesh.transport.events.scattering import Point, emissivity, is_hot
 from lfmesh.transport.packets.children import EMITTED
@@ -315,4 +316,4 @@ def emitted_radiance(
     radiance /= index * index
     if hot:
         return radiance * emissivity(objects.scattering, source, packet.colour, ox, oy, oz)
-    return radiance * point.texel
+    return radiance * point.texel / squared_index_ratio(objects.fields, packet, point.x, point.y, point.z)

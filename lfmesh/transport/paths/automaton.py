@@ -10,7 +10,8 @@ decide the class, in this order:
    lamp is a point, a direction, or a disk that rays cannot hit, and glass blocks the straight line to it (next-event
    estimation), so a path from the sensor never finds it. The class is `LAMP_THROUGH_GLASS`, traced forward from the
    lamp. Seen from the sensor, every other path ends on a target that emits, or on a target or rough glass joined to a
-   lamp by a straight line in air.
+   lamp by a straight line in air. A medium that bends light counts as smooth glass, from the first chord on that it
+   bends: light of a lamp inside such a medium belongs to the class too.
 3. Does the path leave the image path, as the sequential engine follows it, between the sensor and that end? The class
    is then `OFF_IMAGE_PATH`; otherwise the path is on the image path. Three events leave the image path: a reflection in
    the lens or array; a reflection at glass in object space that could have refracted (total reflection there continues
@@ -52,7 +53,7 @@ class State(IntEnum):
     REFLECTED_TWICE = 3
     STRAY = 4  # off the image path otherwise
     FROM_LAMP = 5  # has met no glass in object space
-    LAMP_AT_GLASS = 6  # met smooth glass in object space first
+    LAMP_AT_GLASS = 6  # met smooth glass in object space first, or a medium that bends light
     LAMP_IN_CAMERA = 7  # scattered by a rough surface of the camera
 
 
@@ -98,7 +99,7 @@ OUT_OF_LENS = _step({ON_IMAGE_PATH: IN_NO_GHOST, REFLECTED_ONCE: STRAY})
 """Exit from the lens to object space."""
 
 AT_GLASS = _step({FROM_LAMP: LAMP_AT_GLASS})
-"""Refraction or total reflection at smooth glass in object space."""
+"""Refraction or total reflection at smooth glass in object space, or a chord in a medium that bends light."""
 
 OFF_GLASS = _step(
     {FROM_LAMP: LAMP_AT_GLASS} | dict.fromkeys((ON_IMAGE_PATH, IN_NO_GHOST, REFLECTED_ONCE, REFLECTED_TWICE), STRAY)

@@ -15,6 +15,7 @@ from lfmesh.geometry.objects.round_faces import round_finder, round_normal
 from lfmesh.geometry.ray import Ray, ray_of
 from lfmesh.geometry.ray import along as point_along
 from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.transport.events.bending import bends_before, next_chord, straight_mm
 from lfmesh.transport.events.bodies import RANK, bodies_round, is_in
 from lfmesh.transport.events.crossing import MAX_TRIES, end, end_here, lose, move_packet, requery, too_deep, write_query
 from lfmesh.transport.events.facets import clear_of, crosses, next_query_from
@@ -51,9 +52,11 @@ from lfmesh.transport.packets.packet import (
     TO_LAMP,
     Flow,
     Options,
+    keep_chord,
     put,
 )
 from lfmesh.transport.paths.automaton import LAMP_ON_CAMERA, counts
+from lfmesh.transport.regions.fields import begin_in_field, to_chord_end
 from lfmesh.transport.regions.glass import Curved, through_glass
 from lfmesh.transport.regions.targets import meet_target, passes, share_with_other
 from lfmesh.transport.regions.volumes import Met, is_stopped_by_media, way_through_media
@@ -64,7 +67,7 @@ Array = NDArray[np.float64]
 
 @kernel
 def admit_to_objects(
-    wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], frames: Array
+    wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], frames: Array, fields: Any
 ) -> None:
     """Write the rays of a wave for Embree, in the object frame.
 
@@ -74,9 +77,12 @@ def admit_to_objects(
     origins, directions : (n, 3) float32
         Output.
     frames : (6, 6, 3, 4) float64
+    fields : BendingFields or None
+        Media that bend light; each packet is turned along its chord.
     """
     for i in range(len(wave)):
         move_packet(frames, wave[i], OBJECT_FRAME)
+        next_chord(fields, wave[i])
         write_query(origins, directions, i, wave[i], 0.0, 0.0)
 
 
@@ -98,6 +104,7 @@ def shade_objects(
     facets = objects.facets
     for i in range(len(wave)):
         packet = wave[i]
+        begin_in_field(objects.fields, options, packet)
         x, y, z = packet.x, packet.y, packet.z
         dx, dy, dz = packet.dx, packet.dy, packet.dz
         prim = found[i]
@@ -141,6 +148,9 @@ def shade_objects(
                 lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
                 continue
             facet = facets[max(prim, 0)]
+        if _bends_first(objects.fields, frames, lens, options, packet, t):
+            to_chord_end(objects.fields, space, packet)
+            continue
         if prim >= 0 and _is_sheer(objects, facet.body) and passes(objects, packet, prim, t, along):
             _pass_on(options, flow, frames, objects, packet, prim, t)
             continue
@@ -341,6 +351,7 @@ def _pass_on(
         flow, OBJECTS, packet, OBJECT_FRAME, packet.x, packet.y, packet.z, dx, dy, dz, packet.weight, packet.key, behind
     )
     child.limit = limit
+    keep_chord(flow.bending, packet, child)
     # A ray that met nothing is queried again from its start only once, whatever it passes through.
     child.tries = packet.tries
 
@@ -350,7 +361,7 @@ def _follow_shadow(space: ObjectSpace, lens: LensTables, packet: Any, met: Met) 
     """Let a shadow packet bring its light if nothing stands in between."""
     objects = space.objects
     if packet.light == TO_LAMP:
-        if met.t < packet.limit:
+        if met.t < packet.limit or bends_before(objects.fields, packet, packet.limit):
             return
         reach = packet.limit
     elif packet.light == TO_FACET:
@@ -358,8 +369,10 @@ def _follow_shadow(space: ObjectSpace, lens: LensTables, packet: Any, met: Met) 
         # A scattered packet that meets the lens first enters it with its full weight.
         if not is_reached(objects, packet, met.prim, met.t) or _enters_lens(space.frames, lens, packet, reach):
             return
+        if bends_before(objects.fields, packet, reach):
+            return
     else:
-        reach = way_through_media(space, lens, packet, met)
+        reach = min(way_through_media(space, lens, packet, met), straight_mm(objects.fields, packet))
     bring_light(space, packet, reach)
 
 
@@ -369,6 +382,24 @@ def _enters_lens(frames: Array, lens: LensTables, packet: Any, t: float) -> bool
     px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
     ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
     return box_entry(lens.box_low, lens.box_high, Ray(px, py, pz, ex, ey, ez)) < t
+
+
+@inlined
+def _bends_first(
+    fields: Any, frames: Array, lens: LensTables, options: Options, packet: Any, t: float
+) -> bool:  # fmt: skip
+    """Tell whether a packet comes to the end of its chord before its hit and before the lens.
+
+    Shadow packets stay on their straight line. `fields` is None if nothing bends light; numba then compiles only the
+    first line.
+    """
+    if fields is None:
+        return False
+    if packet.kind == SHADOW or not bends_before(fields, packet, t):
+        return False
+    if packet.last == LEFT_LENS or (packet.kind == LAMP and options.paths != LAMP_ON_CAMERA):
+        return True
+    return not _enters_lens(frames, lens, packet, straight_mm(fields, packet))
 
 
 @inlined

@@ -18,6 +18,7 @@ from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about
 from lfmesh.transport.aims.mixture import aimed
+from lfmesh.transport.events.bending import squared_index_of_emission
 from lfmesh.transport.events.bodies import RANK, bodies_round
 from lfmesh.transport.events.crossing import deposit, end_here, record, too_deep, windowed
 from lfmesh.transport.events.facets import meets_patch
@@ -175,10 +176,11 @@ def cross_media(space: ObjectSpace, packet: Any, reach: float) -> None:
     if passage.light > 0.0 and options.adjoint and estimated:
         # Radiance over n² is conserved on the way out of glass and liquids.
         index = objects.media.indices[packet.medium, colour]
+        index2 = index * index * squared_index_of_emission(objects.fields, packet)
         share = 1.0
         if has_asked(packet):
             share = share_of_scattered(packet, density_to_media(volumes, line.place, line.ray))
-        deposit(options, flow, packet.source, colour, weight * share * passage.light / (index * index))
+        deposit(options, flow, packet.source, colour, weight * share * passage.light / index2)
     if passage.scattered <= 0.0 or not volumes.scatters:
         return
     lost = weight * passage.scattered

@@ -16,6 +16,7 @@ from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.search import drawn_by
 from lfmesh.optics.scattering import about
 from lfmesh.transport.engine import Workspace
+from lfmesh.transport.events.bending import squared_index_at
 from lfmesh.transport.events.bodies import RANK, TOO_MANY, bodies_at, medium_of, set_bodies
 from lfmesh.transport.events.bounds import own_ray, span
 from lfmesh.transport.events.crossing import record
@@ -183,6 +184,7 @@ def _from_medium(volumes: Any, space: ObjectSpace, packet: Any, number: int, wei
         packet.medium = medium_of(objects, inside)
         set_bodies(packet, inside)
     emission = coefficients(volumes, number, colour, 0.0, 0.0, ray)[2]
+    emission *= _grown_by_temperature(objects.fields, colour, x, y, z)
     if emission <= 0.0:
         return
     # W/(m² sr mm) is 10⁻⁶ W/(mm³ sr).
@@ -214,12 +216,38 @@ def _from_facet(space: ObjectSpace, packet: Any, prim: int, weight: float) -> No
     )
     if objects.opacity[body] < 1.0:
         weight *= opacity_at(objects, prim, x, y, z)
+    weight *= _grown_in_field(objects.fields, objects, packet.colour, body, x, y, z)
     point = emission_of(objects, point_of(objects, packet, prim, (x, y, z), side, False), key)
     emitted = weight * albedo(objects.scattering, point, packet.colour, 0.0, 0.0, 0.0)
     flow.book[EMITTED] += emitted
     packet.start = emitted
     packet.weight = emitted
     scatter(space, packet, point, weight, emitted)
+
+
+@inlined
+def _grown_in_field(
+    fields: Any, objects: ObjectTables, colour: int, target: int, x: float, y: float, z: float
+) -> float:  # fmt: skip
+    """Return n² at a point of a target that emits by its temperature, over that outside the fields; else 1.
+
+    `fields` : BendingFields or None.
+    """
+    if fields is None:
+        return 1.0
+    emission = objects.scattering.models[objects.scattering.models[target].emission]
+    return squared_index_at(fields, colour, x, y, z) if emission.kind == THERMAL else 1.0
+
+
+@inlined
+def _grown_by_temperature(fields: Any, colour: int, x: float, y: float, z: float) -> float:
+    """Return n² at a point over that outside the fields, for media that emit by temperature; else 1.
+
+    `fields` : BendingFields or None.
+    """
+    if fields is None:
+        return 1.0
+    return 1.0 if fields.emit_radiance else squared_index_at(fields, colour, x, y, z)
 
 
 @inlined

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.index_media import IndexMedium, index_media
 from lfmesh.kernels.by_address import by_address
-from lfmesh.kernels.decorators import inlined
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.gradient_shapes import GradientProfile
 from lfmesh.optics.gradients import Gradients, field_at, fields_at, gradient_table
 from lfmesh.optics.index_field_path import INSIDE, deflections, follower
-from lfmesh.optics.index_field_steps import FINEST, FieldProbe, probed, with_steps
+from lfmesh.optics.index_field_steps import FieldProbe, probed, with_steps
 from lfmesh.optics.index_fields import (
+    LEAPFROG,
     RUNGE_KUTTA,
     IndexField,
     IndexFields,
@@ -26,10 +28,10 @@ from lfmesh.optics.index_fields import (
     index_field_at,
 )
 from lfmesh.scene import Scene
-from lfmesh.scene.media.bending import index_field_of
-from lfmesh.scene.media.media import Medium
-from lfmesh.scene.objects.shapes import Box
+from lfmesh.scene.camera.gradient import Gradient
+from lfmesh.scene.media.bending import density_law
 from lfmesh.transport.packets.packet import OBJECT_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.tables import AIR, Media
 
 Array = NDArray[np.float64]
 
@@ -39,8 +41,20 @@ NO_FORMULA = -1
 FEWEST_CELLS, MOST_CELLS = 8, 1 << 13
 """Smallest and largest number of steps along the longest edge of a field given by a formula."""
 
+FORMULA_PRECISION = 1e-9
+"""Largest error of the deflection by the steps of a formula, over the largest deflection."""
+
 FORMULA_PROBES = 64
 """Probe rays that give the steps of a formula."""
+
+NEAR_CURVE = 0.01
+"""Largest distance of a chord from its curve, over the size of a pixel there, in a field in which something stands."""
+
+LEAST_STEP = 2.0**-10
+"""Steps in voxels that are not halved further."""
+
+MOST_POINTS_ALONG = 64
+"""Largest number of intervals along each axis between points at which the curvature of rays is found."""
 
 
 @by_address
@@ -49,34 +63,33 @@ class BendingFields(NamedTuple):
 
     fields: IndexFields  # (n · wavelengths,) rows; of a formula, only box and steps are used
     wavelengths: int
+    around: Array  # (wavelengths,) index of the air, or object medium, around them
     to_own: Array  # (n, 3, 4) from the object frame to the field's own
     from_own: Array  # (n, 3, 4) the inverse
     free: NDArray[np.bool_]  # (n,) whether the boxes of all targets and of the housing lie beside the field's
     medium: NDArray[np.int64]  # (n,) number of the medium in the scene
     slot: NDArray[np.int64]  # (n,) slot of the book of light that is trapped
     deflection: float  # rad, largest of all
+    alone: bool  # nothing happens to light between their nodes: no medium absorbs, scatters or emits
+    emit_radiance: bool  # media emit a given radiance, whatever the index; else they emit by their temperature
     curves: bool  # recorded paths have a vertex at the end of each chord, not only at the faces of fields
     formula: NDArray[np.int64]  # (n · wavelengths,) row in `formulas`, or NO_FORMULA
     formulas: Any = None  # Gradients if an index is a formula, else None: code for them is not even compiled
 
 
 class FieldMedium(NamedTuple):
-    """A medium that bends light.
+    """A medium that bends light, with its steps.
 
     Attributes
     ----------
-    number : int
-        Number of the medium in the scene.
+    medium : IndexMedium
     field : IndexField
         At all wavelengths; of a formula, only bounds and steps are used.
-    profiles : tuple of GradientProfile
-        One for each wavelength, if the index is a formula; else empty.
     probe : FieldProbe
     """
 
-    number: int
+    medium: IndexMedium
     field: IndexField
-    profiles: tuple[GradientProfile, ...]
     probe: FieldProbe
 
 
@@ -111,57 +124,49 @@ def _value_at(
 _follow_formula = follower(field_at)
 
 
-def bending_media(scene: Scene, wavelengths_nm: Sequence[float]) -> list[FieldMedium]:
+def bending_media(scene: Scene, wavelengths_nm: tuple[float, ...]) -> list[FieldMedium]:
     """Return the media of a scene that bend light, with their steps.
 
     Parameters
     ----------
     scene : Scene
-    wavelengths_nm : (wavelengths,) sequence of float
+    wavelengths_nm : (wavelengths,) tuple of float
 
     Raises
     ------
     SceneError, FileError
-        A grid cannot be used, an index is not real, or a formula bends light too strongly.
+        As from `index_media`, or an index is not real, or a formula bends light too strongly.
     """
     found = []
-    for number, medium in enumerate(scene.media):
-        if not medium.bends:
-            continue
-        given = index_field_of(medium, wavelengths_nm, scene.camera.air)
-        if isinstance(given, IndexField):
-            probe = probed(given)
-            found.append(FieldMedium(number, with_steps(given, probe), (), probe))
-            continue
-        profiles = (given,) * len(wavelengths_nm) if isinstance(given, GradientProfile) else tuple(given)
-        found.append(_by_formula(f"media[{number}]", number, medium, profiles))
+    for medium in index_media(scene, wavelengths_nm):
+        if medium.field is None:
+            found.append(_by_formula(medium))
+        else:
+            probe = probed(medium.field)
+            found.append(FieldMedium(medium, with_steps(medium.field, probe), probe))
     return found
 
 
-def _by_formula(where: str, number: int, medium: Medium, profiles: tuple[GradientProfile, ...]) -> FieldMedium:
+def _by_formula(medium: IndexMedium) -> FieldMedium:
     """Return a medium with an index by a formula, with the steps that probe rays need."""
-    if not isinstance(medium.bounds, Box):
-        raise SceneError(f"{where}.index: a formula has no bounds of its own; give the medium a box")
-    half = 0.5 * np.array(medium.bounds.size_mm)
-    box = np.array([-half, half])
-    formulas = gradient_table(profiles)
+    box, formulas = medium.bounds_mm, gradient_table(medium.formulas)
     points = _points_in(box)
-    squares = np.array([fields_at(formulas, row, points)[:, 0] for row in range(len(profiles))])
+    squares = np.array([fields_at(formulas, row, points)[:, 0] for row in range(len(medium.formulas))])
     if not (squares > 0.0).all():
-        raise SceneError(f"{where}.index: n² = {squares.min():.6g} in its box; the index must be real everywhere")
+        raise SceneError(f"{medium.name}: index: n² = {squares.min():.6g} in its box; it must be positive everywhere")
     rays = _rays_through(formulas, box)
-    cells, (starts, truth) = FEWEST_CELLS, _ends(formulas, box, rays, 2 * MOST_CELLS)
-    largest, error = float(deflections(starts, truth).max(initial=0.0)), np.inf
+    cells, truth = FEWEST_CELLS, _ends(formulas, box, rays, 2 * MOST_CELLS)
+    largest, error = float(deflections(rays, truth).max(initial=0.0)), np.inf
     while cells <= MOST_CELLS:
-        _, ends = _ends(formulas, box, rays, cells)
+        ends = _ends(formulas, box, rays, cells)
         error = float(deflections(ends, truth).max(initial=0.0)) / largest if largest > 0.0 else 0.0
-        if error <= FINEST:
+        if error <= FORMULA_PRECISION:
             break
         cells *= 2
     else:
-        raise SceneError(f"{where}.index: bends light too strongly in its box; give a smaller box")
-    row = _uniform(box, cells, len(profiles))
-    return FieldMedium(number, row, profiles, FieldProbe(RUNGE_KUTTA, 1.0, largest, error, 0.0, 0))
+        raise SceneError(f"{medium.name}: index: bends light too strongly for its box; give a smaller box")
+    row = _uniform(box, cells, len(medium.formulas))
+    return FieldMedium(medium, row, FieldProbe(RUNGE_KUTTA, 1.0, largest, error, 0.0, 0))
 
 
 def _uniform(box: Array, cells: int, wavelengths: int) -> IndexField:
@@ -191,50 +196,86 @@ def _rays_through(formulas: Gradients, box: Array) -> Array:
     return np.hstack([starts, n[:, None] * along, np.zeros((FORMULA_PROBES, 2))])
 
 
-def _ends(formulas: Gradients, box: Array, rays: Array, cells: int) -> tuple[Array, Array]:
-    """Return probe rays that leave a box at their starts and ends, with steps of a fraction of its longest edge."""
+def _ends(formulas: Gradients, box: Array, rays: Array, cells: int) -> Array:
+    """Return probe rays at their exits from a box, with steps of a fraction of its longest edge."""
     rows = field_table([_uniform(box, cells, 1)]).rows
     ends, faces = rays.copy(), np.full(len(rays), INSIDE)
     _follow_formula(formulas, rows, 0, ends, faces, None)
-    return rays, ends
+    return ends
 
 
 def bending_fields(
-    media: Sequence[FieldMedium], scene: Scene, moves: Array, wide: int, slots: NDArray[np.int64]
+    media: Sequence[FieldMedium], moves: Array, around: Array, slots: NDArray[np.int64]
 ) -> BendingFields | None:
     """Return the table of media that bend light; None without any.
 
     Parameters
     ----------
     media : sequence of FieldMedium
-    scene : Scene
     moves : (6, 6, 3, 4) float64
         See `frame_table`.
-    wide : int
-        Number of wavelengths.
+    around : (wavelengths,) float64
+        Index of air, or of the object medium.
     slots : (n,) int64
-        Slots of the book of trapped light.
+        Slots of the book for trapped light.
     """
     if not media:
         return None
-    own = [scene.media[each.number] for each in media]
-    to_own = np.array([frame.compose(frame.inverse(frame.frame(m.rotation_deg, m.position_mm)),
-                                     moves[OBJECT_FRAME, WORLD_FRAME]) for m in own])  # fmt: skip
-    profiles = [profile for each in media for profile in each.profiles]
-    formula = np.full((len(media), wide), NO_FORMULA, np.int64)
-    by_formula = np.array([bool(each.profiles) for each in media])
-    formula[by_formula] = np.arange(len(profiles)).reshape(-1, wide)
+    from_own = np.array([frame.compose(moves[WORLD_FRAME, OBJECT_FRAME], each.medium.to_world) for each in media])
+    profiles = [profile for each in media for profile in each.medium.formulas]
+    formula = np.full((len(media), len(around)), NO_FORMULA, np.int64)
+    by_formula = np.array([len(each.medium.formulas) > 0 for each in media])
+    formula[by_formula] = np.arange(len(profiles)).reshape(-1, len(around))
     return BendingFields(
         fields=field_table([each.field for each in media]),
-        wavelengths=wide,
-        to_own=to_own,
-        from_own=np.array([frame.inverse(each) for each in to_own]),
+        wavelengths=len(around),
+        around=around.copy(),
+        to_own=np.array([frame.inverse(each) for each in from_own]),
+        from_own=from_own,
         free=np.zeros(len(media), np.bool_),
-        medium=np.array([each.number for each in media], np.int64),
+        medium=np.array([each.medium.number for each in media], np.int64),
         slot=slots,
         deflection=max(each.probe.deflection for each in media),
+        alone=False,
+        emit_radiance=False,
         curves=True,
         formula=formula.ravel(),
+        formulas=gradient_table(profiles) if profiles else None,
+    )
+
+
+def at_wavelength(
+    fields: BendingFields, scene: Scene, wavelengths_nm: tuple[float, float], media: Media
+) -> BendingFields:
+    """Return the table at another wavelength, with the same steps and no file read again.
+
+    Parameters
+    ----------
+    fields : BendingFields
+        Table of the scene.
+    scene : Scene
+    wavelengths_nm : (float, float)
+        First wavelength of the scene, and the new one.
+    media : Media
+        Media of object space at the new wavelength.
+    """
+    rows = fields.fields.rows[:: fields.wavelengths].copy()
+    formula, profiles = np.full(len(rows), NO_FORMULA, np.int64), list[GradientProfile]()
+    for k, row in enumerate(rows):
+        medium = scene.media[fields.medium[k]]
+        if fields.formula[k * fields.wavelengths] >= 0 and isinstance(medium.index, Gradient):
+            formula[k] = len(profiles)
+            profiles.append(medium.index.profile(wavelengths_nm[1]))
+        offsets, scales = density_law(wavelengths_nm, scene.camera.air, medium.gladstone_dale_m3_kg)
+        if row["scale"] == scales[0]:
+            # A grid of indices has the scale 1.
+            middle = (row["offset"] - offsets[0]) / scales[0]
+            row["offset"], row["scale"] = offsets[1] + scales[1] * middle, scales[1]
+    return fields._replace(
+        fields=fields.fields._replace(rows=rows),
+        wavelengths=1,
+        around=media.indices[AIR].copy(),
+        formula=formula,
         formulas=gradient_table(profiles) if profiles else None,
     )
 
@@ -291,6 +332,56 @@ def with_free(fields: BendingFields | None, bodies: Sequence[Array]) -> BendingF
     return fields._replace(free=np.array(free, np.bool_))
 
 
-def faces_only(fields: BendingFields | None) -> BendingFields | None:
-    """Return the table for recorded paths with vertices at the faces of fields alone."""
-    return None if fields is None else fields._replace(curves=False)
+def crossed_at_once(fields: BendingFields | None) -> BendingFields | None:
+    """Return the table for recorded paths with vertices at the faces of fields alone, and without other media."""
+    return None if fields is None else fields._replace(curves=False, alone=True)
+
+
+def with_short_chords(fields: BendingFields, footprints_mm: Sequence[float]) -> BendingFields:
+    """Return the table with steps whose chords stay near the curve in fields in which something stands.
+
+    Parameters
+    ----------
+    fields : BendingFields
+    footprints_mm : sequence of float
+        Size of a pixel at each field.
+    """
+    rows = fields.fields.rows.copy()
+    for k, footprint in enumerate(footprints_mm):
+        if fields.free[k]:
+            continue
+        own = rows[k * fields.wavelengths : (k + 1) * fields.wavelengths]
+        bound = _largest_curvature(fields, k)
+        row = own[0]
+        by_slabs = float(np.linalg.norm((row["high"] - row["low"]) / row["slabs"]))
+        by_cells = float(row["step"] * np.linalg.norm(1.0 / row["per_mm"]))
+        longest = by_slabs if row["scheme"] == LEAPFROG else by_cells
+        # The height of an arc over its chord is κ L² / 8.
+        while bound * longest**2 / 8.0 > NEAR_CURVE * footprint and row["step"] > LEAST_STEP:
+            own["step"], own["slabs"] = 0.5 * own["step"], 2 * own["slabs"]
+            longest *= 0.5
+    return fields._replace(fields=fields.fields._replace(rows=rows))
+
+
+def _largest_curvature(fields: BendingFields, number: int) -> float:
+    """Return the approximate largest curvature of rays in a field, 1/mm: |∇n| / n on a lattice of points."""
+    row = fields.fields.rows[number * fields.wavelengths]
+    counts = np.clip(np.round((row["high"] - row["low"]) * row["per_mm"]).astype(np.int64), 2, MOST_POINTS_ALONG)
+    curvatures = np.zeros(fields.wavelengths)
+    for colour in range(fields.wavelengths):
+        curvatures[colour] = _curvature(fields, number * fields.wavelengths + colour, row["low"], row["high"], counts)
+    return float(curvatures.max())
+
+
+@kernel
+def _curvature(fields: BendingFields, number: int, low: Array, high: Array, counts: NDArray[np.int64]) -> float:
+    largest = 0.0
+    for i in range(counts[0] + 1):
+        x = low[0] + (high[0] - low[0]) * i / counts[0]
+        for j in range(counts[1] + 1):
+            y = low[1] + (high[1] - low[1]) * j / counts[1]
+            for k in range(counts[2] + 1):
+                z = low[2] + (high[2] - low[2]) * k / counts[2]
+                n2, by_x, by_y, by_z = bending_at(fields, number, x, y, z)
+                largest = max(largest, np.sqrt(by_x * by_x + by_y * by_y + by_z * by_z) / n2)
+    return largest

@@ -8,6 +8,7 @@ from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_normals
 from lfmesh.geometry.objects.round_faces import FLAT, ROUND, WALL, boxes_of
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME
+from lfmesh.transport.tables.bending_fields import boxes_of_fields
 from lfmesh.transport.tables.emitting_facets import mean_emissions
 from lfmesh.transport.tables.lights import MM2, power_towards
 from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, OPAQUE, ROUGH, SOURCE, LensTables, ObjectTables
@@ -40,21 +41,23 @@ def sources_of(scene: Scene, objects: ObjectTables, mesh: Mesh) -> NDArray[np.vo
 def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
     """Return tables that start forward packets from lamps alone, aimed at the glass.
 
-    None if no packet is needed: without lamps, without smooth glass, or without anything that scatters.
+    Media that bend light count as glass. None if no packet is needed: without lamps, without smooth glass, or without
+    anything that scatters.
     """
     glass, rough, facets = _glass(objects)
     used = objects.model[np.append(~glass, False)[objects.facets["body"]]]
     black = objects.scattering.models["black"][used].all() and not rough.any()
     in_fog = objects.volumes is not None and objects.volumes.scatters
-    if not len(objects.lamps.rows) or not facets.any() or (black and not in_fog):
+    fields = boxes_of_fields(objects.fields).reshape(-1, 3)
+    if not len(objects.lamps.rows) or not (facets.any() or len(fields)) or (black and not in_fog):
         return None
-    return _aimed_at(objects, facets, np.zeros((0, 3)))
+    return _aimed_at(objects, facets, fields)
 
 
 def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> ObjectTables | None:
     """Return tables that start forward packets from lamps alone, aimed at the front of the lens.
 
-    Smooth glass in object space may bend light into the lens, so it is aimed at too. None without lamps.
+    Smooth glass and media in object space may bend light into the lens, so they are aimed at too. None without lamps.
 
     Parameters
     ----------
@@ -68,7 +71,8 @@ def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> O
     front = lens.facets["corners"][lens.facets["body"] == 0].reshape(-1, 3)
     move = frames[CAMERA_FRAME, OBJECT_FRAME]
     front = front @ move[:, :3].T + move[:, 3]
-    return _aimed_at(objects, _glass(objects)[2], front)
+    points = np.concatenate([front, boxes_of_fields(objects.fields).reshape(-1, 3)])
+    return _aimed_at(objects, _glass(objects)[2], points)
 
 
 def _glass(objects: ObjectTables) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:

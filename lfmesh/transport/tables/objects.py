@@ -18,6 +18,7 @@ from lfmesh.scene import Scene
 from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.bending_fields import BendingFields, boxes_of_fields
 from lfmesh.transport.tables.contacts import CUT, contacts, touching_mm
 from lfmesh.transport.tables.emitting_facets import emitter_table, no_emitters
 from lfmesh.transport.tables.facet_models import facet_models
@@ -40,7 +41,7 @@ from lfmesh.transport.tables.tables import (
     ObjectTables,
 )
 from lfmesh.transport.tables.varied_gloss import VariedGloss
-from lfmesh.transport.tables.volumes import reach_of, volume_tables
+from lfmesh.transport.tables.volumes import BY_TEMPERATURE, NOWHERE, OF_BODY, reach_of, volume_tables
 
 
 def middle_of(targets: list[TargetMesh]) -> Array:
@@ -336,6 +337,40 @@ def with_volumes(
         lit = np.inf if endless else max(lit, reach)
     outer = np.inf if endless else max(tables.outer_radius, reach)
     return tables._replace(media=media, volumes=volumes, outer_radius=outer, lit_radius=lit)
+
+
+def with_fields(tables: ObjectTables, fields: BendingFields | None, scene: Scene, mesh: Mesh) -> ObjectTables:
+    """Return the tables with media that bend light, and with spheres enlarged to hold them.
+
+    Parameters
+    ----------
+    tables : ObjectTables
+    fields : BendingFields or None
+    scene : Scene
+    mesh : Mesh
+        Mesh of targets and housing, object frame.
+
+    Raises
+    ------
+    SceneError
+        Media of both kinds of emission stand where light is bent.
+    """
+    if fields is None:
+        return tables
+    given = [tables.volumes.rows["emits"][number] for number in np.flatnonzero(tables.volumes.emission.any(axis=1))]
+    by_heat = [kind in (OF_BODY, BY_TEMPERATURE) for kind in given]
+    if len(set(by_heat)) > 1:
+        raise SceneError(
+            f"media[{fields.medium[0]}] bends light, so media may emit by temperature_k or by emission_w_mm3_sr, but "
+            "not both; use one of them"
+        )
+    acts = (tables.volumes.rows["inside"] != NOWHERE).any()
+    fields = fields._replace(alone=not acts, emit_radiance=bool(given) and not by_heat[0])
+    reach = float(np.linalg.norm(boxes_of_fields(fields).reshape(-1, 3), axis=1).max())
+    tables = tables._replace(
+        fields=fields, outer_radius=max(tables.outer_radius, reach), lit_radius=max(tables.lit_radius, reach)
+    )
+    return tables._replace(sources=sources_of(scene, tables, mesh))
 
 
 def _refuse_touched_finishes(scene: Scene, bodies: NDArray[np.int64], first: NDArray[np.int64]) -> None:

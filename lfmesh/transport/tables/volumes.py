@@ -35,10 +35,15 @@ Array = NDArray[np.float64]
 IN_FRONT, BOX, SPHERE, CYLINDER, SHELL = range(5)
 """Kinds of bounds."""
 
+OF_LINES = ("absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr")
+"""Arrays of a grid by which light changes along straight lines."""
+
 PER_VOLUME, OF_VOXELS, OF_BODY, BY_TEMPERATURE = range(4)
 """Kinds of emission: uniform, by voxels, as a body of one temperature, or by voxel temperatures."""
 
 NOT_IN_GRID = -1
+
+NOWHERE = -1
 
 ROUNDING = 1e-12
 """Largest reach behind the first lens vertex that counts as rounding, relative to a medium's farthest corner."""
@@ -54,7 +59,7 @@ W_MM3 = 1e6
 
 VOLUME = np.dtype(
     [
-        ("inside", "i8"),  # rank of the body of glass or liquid around it; 0: air
+        ("inside", "i8"),  # rank of the body of glass or liquid around it; 0: air; NOWHERE: it only bends light
         ("bounds", "i8"),
         ("size", "f8", (3,)),  # mm: half edges of a box; radius; radius and half height of a cylinder
         ("box", "f8", (2, 3)),  # mm, lowest and highest corner of the bounds
@@ -188,6 +193,8 @@ def volume_tables(
             )
         if body is not None:
             row["inside"] = hosts.rank[body]
+        if not (medium.acts or hot or (grid is not None and any(key in grid.values for key in OF_LINES))):
+            row["inside"] = NOWHERE
         if row["emits"] in (OF_BODY, BY_TEMPERATURE):
             # Kirchhoff: a black body's radiance in a medium is n² times that in air.
             spectrum = spectrum * hosts.index_of(body) ** 2

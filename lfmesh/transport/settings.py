@@ -32,6 +32,9 @@ NEAR_LENS = 10.0
 makes a white sheet in front of an uncoated singlet 5.2 % brighter at half a radius, 0.25 % at four radii, and less
 than 0.05 % at ten."""
 
+BENT_BACK = 1e-2
+"""Deflection by media, rad, above which light may return to a flat target: the square is its largest share."""
+
 SPLIT_MODE = {"both": BOTH, "roulette": ROULETTE, "transmit": TRANSMIT}
 
 
@@ -61,6 +64,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         bounce=not tracing
         and (
             not world.is_flat
+            or _bend_back(world)
             or (tables.objects.volumes is not None and (tables.objects.volumes.scatters or tables.objects.volumes.emit))
             or (transport.split != "transmit" and _is_near_lens(world))
         ),
@@ -70,6 +74,14 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
     )
     thinning = {name: override.pop(name) for name in Thinning._fields if name in override}
     return with_thinning(options._replace(**override), **thinning)
+
+
+def _bend_back(world: World) -> bool:
+    """Tell whether media bend so much of a flat target's light back onto it that it counts, or light is aimed there."""
+    fields = world.tables.objects.fields
+    if fields is None:
+        return False
+    return fields.deflection > BENT_BACK or world.scene.transport.method == "forward"
 
 
 def with_thinning(options: Options, **change: Any) -> Options:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
+from lfmesh.geometry.index_media import any_bends
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.geometry.surfaces.bends import rim_hull
@@ -186,8 +187,9 @@ def _cover_of(scene: Scene) -> CoverPlate | None:
 
 
 def has_glass(scene: Scene) -> bool:
-    """Tell whether glass or liquid stands before the camera."""
-    return bool(scene.tanks) or any(target.refractor is not None for target in scene.targets)
+    """Tell whether glass or liquid stands before the camera, or a medium that bends light."""
+    glass = bool(scene.tanks) or any(target.refractor is not None for target in scene.targets)
+    return glass or any_bends(scene)
 
 
 def _near_points(lens: LensTables, shapes: Shapes) -> NearViewpoints | None:

@@ -17,6 +17,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from lfmesh.geometry.index_media import any_bends
 from lfmesh.geometry.objects.targets import is_met_exactly
 from lfmesh.kernels.accelerator import private
 from lfmesh.kernels.cache import is_cached
@@ -114,9 +115,10 @@ class Ahead:
         cached = any(map(is_cached, kernels))
         self._report = None if cached else report
         self._say()
-        # Polarised and diffracted light, phases and gradients have other kernels, and few scenes have them.
+        # Polarised and diffracted light, phases, gradients and media that bend light have other kernels, and few scenes
+        # have them.
         plain = not scene.transport.polarisation and scene.transport.diffraction == "none"
-        usual = plain and not has_phases(scene) and not has_gradients(scene)
+        usual = plain and not has_phases(scene) and not has_gradients(scene) and not any_bends(scene)
         if processors() > 1 and usual and not cached:
             stations = ON_IMAGE_PATH if alone else EVERYWHERE
             glass = len(scene.bodies()) > 0

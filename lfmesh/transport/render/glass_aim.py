@@ -140,8 +140,9 @@ _STRAIGHT_ONLY = GlassAim(np.array([(-1, 0.0, 0, 0, 1.0, 0, 0)], CELL), np.zeros
 
 
 def has_glass(world: World) -> bool:
-    """Tell whether glass or liquid stands before the camera."""
-    return bool((world.tables.objects.medium != OPAQUE).any())
+    """Tell whether glass or liquid stands before the camera, or a medium that bends light."""
+    objects = world.tables.objects
+    return objects.fields is not None or bool((objects.medium != OPAQUE).any())
 
 
 class Fit(NamedTuple):

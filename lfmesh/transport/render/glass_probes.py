@@ -1,8 +1,8 @@
 """Probe rays from the pixels through lens and glass, to find the directions in which object space sees the lens.
 
-They take the image path through the camera; at glass, chance decides between reflection and refraction. Light scattered
-back along a probe reaches the sensor, from its hit on a target and from a random point on its way through a medium or
-past particles.
+They take the image path through the camera; at glass, chance decides between reflection and refraction. Media that bend
+light count as glass. Light scattered back along a probe reaches the sensor, from its hit on a target and from a random
+point on its way through a medium or past particles.
 """
 
 from typing import NamedTuple
@@ -17,6 +17,7 @@ from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import (
     BY_ORDER,
     CAMERA_FRAME,
+    IN_FIELD,
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
@@ -33,6 +34,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
+from lfmesh.transport.tables.bending_fields import crossed_at_once
 from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.tables.media import without_absorption
 from lfmesh.transport.tables.volumes import corners_of
@@ -181,7 +183,9 @@ def _before_lens(world: World, count: int, colour: int, draw: np.random.Generato
 def _traced(world: World, packets: NDArray[np.void], regions: list[Region], draw: np.random.Generator) -> Sights:
     """Trace packets through object space; return their sights, world frame."""
     objects = world.tables.objects
-    clear = objects._replace(volumes=None, media=without_absorption(objects.media))
+    clear = objects._replace(
+        volumes=None, media=without_absorption(objects.media), fields=crossed_at_once(objects.fields)
+    )  # fmt: skip
     split = TRANSMIT if world.scene.transport.split == "transmit" else ROULETTE
     options = options_of(world, tracing=True, record=True, split=split, cutoff=0.0)
     work = Workspace(world, options, max(1, len(packets)), world.tables._replace(objects=clear))
@@ -202,6 +206,7 @@ def _sights(
     """Return the sights along recorded ways, world frame."""
     rough = np.array([t.refractor is not None and t.refractor.finish.is_rough for t in world.scene.targets] + [False])
     parent, glass = nodes["parent"], nodes["surface"] == ON_GLASS
+    bends = glass | (nodes["surface"] == IN_FIELD)
     way, first, spoilt = np.zeros(len(nodes), np.uint64), np.arange(len(nodes)), np.zeros(len(nodes), np.bool_)
     event = _events(world, nodes, glass)
     on_rough = glass & rough[np.where(glass, nodes["part"], -1)]
@@ -214,7 +219,7 @@ def _sights(
     for k in range(1, int(depth.max(initial=0)) + 1):
         level = np.flatnonzero(depth == k)
         up = parent[level]
-        way[level] = np.where(glass[level], (way[up] + event[level]) * MIX + np.uint64(1), way[up])
+        way[level] = np.where(bends[level], (way[up] + event[level]) * MIX + np.uint64(1), way[up])
         first[level], spoilt[level] = first[up], spoilt[up] | on_rough[level]
     probe_of = np.zeros(len(nodes), np.int64)
     probe_of[np.flatnonzero(parent < 0)] = np.arange((parent < 0).sum())
@@ -231,7 +236,7 @@ def _sights(
                _all(matt, ON_ROUGH_GLASS))
     )  # fmt: skip
     if regions:
-        inner = np.flatnonzero(glass & ~spoilt[parent])
+        inner = np.flatnonzero(bends & ~spoilt[parent])
         met = clean[np.isin(clean["status"], (S_TARGET, S_ABSORBED))]["node"]
         inner = np.concatenate([inner, met])
         out = clean[clean["status"] == S_ESCAPED]
@@ -250,7 +255,7 @@ def _sights(
 
 
 def _events(world: World, nodes: NDArray[np.void], glass: NDArray[np.bool_]) -> NDArray[np.uint64]:
-    """Return a number for body, face and kind of event of each vertex on glass; 0 for others."""
+    """Return a number for body, face and kind of event of each vertex on glass or in an index field; 0 for others."""
     face = np.zeros(len(nodes), np.int64)
     for body in np.unique(nodes["part"][glass]):
         if world.targets[body].round is not None:
@@ -266,7 +271,9 @@ def _events(world: World, nodes: NDArray[np.void], glass: NDArray[np.bool_]) -> 
             off = np.abs(nodes["position"][mine] @ planes[:, :3].T - planes[:, 3])
             face[mine] = np.argmin(off, axis=1)
     number = (face * len(world.targets) + nodes["part"]) * len(Event) + nodes["event"] + 1
-    return np.where(glass, number, 0).astype(np.uint64)
+    # The faces of a field bend neighbouring ways alike.
+    further = (MOST_FACES * len(world.targets) + nodes["part"]) * len(Event) + nodes["event"] + 1
+    return np.where(glass, number, np.where(nodes["surface"] == IN_FIELD, further, 0)).astype(np.uint64)
 
 
 def _past_all_mm(world: World, regions: list[Region], places: Array) -> float:

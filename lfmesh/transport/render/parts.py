@@ -242,6 +242,9 @@ def camera_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
 def _from_lamps(number: int, world: World, objects: ObjectTables, through: GlassAim | None, paths: int) -> Part:
     """Return a part traced forward from lamps, with tables that hold their aim."""
     options = options_of(world)._replace(adjoint=False, importance=False, paths=paths)
+    if objects.fields is not None:
+        # A scattered packet may find the lens beside the aim.
+        options = options._replace(bounce=True)
     tables = _aimed_through(world.aimed_tables._replace(objects=objects), through)
     return Part(number, options, tables, book=LAMP_BOOK)
 
@@ -300,7 +303,8 @@ def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:
     if any(part.options.paths == GHOSTS for part in parts):
         words += ", ghosts by sequence"
     if any(part.options.paths == LAMP_THROUGH_GLASS for part in parts):
-        words += "; lamps' light through glass forward"
+        bending = parts[0].tables.objects.fields is not None
+        words += f"; lamps' light through {'media that bend it' if bending else 'glass'} forward"
     if any(part.options.paths == LAMP_ON_CAMERA for part in parts):
         words += "; lamps' light on the camera's rough surfaces forward"
     if scene.particles and scene.transport.diffraction != "none":

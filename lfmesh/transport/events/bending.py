@@ -175,7 +175,13 @@ def squared_index_of_emission(fields: Any, packet: Any) -> float:
 
 @kernel
 def field_round(fields: BendingFields, x: float, y: float, z: float) -> float:
-    """Return the state of a packet at a point of the object frame: OUTSIDE, or k + 1 in field k."""
+    """Return the state of a packet at a point of the object frame: OUTSIDE, or k + 1 in field k.
+
+    Parameters
+    ----------
+    fields : BendingFields
+    x, y, z : float, mm
+    """
     for field in range(len(fields.free)):
         box = fields.fields.rows[field * fields.wavelengths]
         px, py, pz = point_through(fields.to_own[field], x, y, z)

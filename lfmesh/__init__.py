@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.photographs.depth_truth import DepthTruth, depth_truth
     from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
     from lfmesh.lightfield.photographs.refocus import focal_stack, refocus
+    from lfmesh.lightfield.photographs.schlieren import Schlieren, schlieren
     from lfmesh.lightfield.rays.camera_model import CameraModel, camera_model
     from lfmesh.lightfield.rays.object_rays import object_rays
     from lfmesh.lightfield.rays.ray_model import RayModel
@@ -288,6 +289,7 @@ __all__ = [
     "RotationDisplacement",
     "Scene",
     "SceneError",
+    "Schlieren",
     "SelfocGradient",
     "Sensor",
     "Sheet",
@@ -353,6 +355,7 @@ __all__ = [
     "render_patches",
     "save",
     "save_white",
+    "schlieren",
     "show",
     "solved",
     "trace",
@@ -412,6 +415,7 @@ _HOMES = {
     "lfmesh.lightfield.rays.ray_model": ["RayModel"],
     "lfmesh.lightfield.volumes.reconstruction": ["Reconstruction", "reconstruct", "volume_quality"],
     "lfmesh.lightfield.photographs.refocus": ["focal_stack", "refocus"],
+    "lfmesh.lightfield.photographs.schlieren": ["Schlieren", "schlieren"],
     "lfmesh.lightfield.volumes.voxel_box": ["VoxelBox"],
     "lfmesh.lightfield.calibration.white": ["white_image"],
     "lfmesh.scene": [

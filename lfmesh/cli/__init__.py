@@ -31,6 +31,7 @@ try:
             psf,
             render,
             schema,
+            schlieren,
             study,
             view,
         )

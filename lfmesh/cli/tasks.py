@@ -27,6 +27,7 @@ TASKS = {
     "Other images and models": {
         "grid": "lfmesh grid flow.vtu -o plume.vti --units m --spacing-mm 1 1 1",
         "frames": "lfmesh frames particles.toml -o pair/",
+        "schlieren": "lfmesh schlieren hot/ cold/",
         "psf": "lfmesh psf scene.toml --point-mm 0 0 -480 --window 64 -o spread/",
         "matrix": "lfmesh matrix scene.toml -o m.npz --grid g.npz --position-mm 0 0 -500",
         "camera-model": "lfmesh camera-model scene.toml -o camera.exr",

@@ -60,7 +60,7 @@ EDITED_SECONDS = 2.0
 
 _OURS = re.compile(
     r"raw\.exr|report\.json|scene\.toml|preview(_view)?\.png|linear16[\w.]*\.png|calibration\.json|views\.png"
-    r"|exposed\.(png|json)|depth(_views|_pixels)?\.exr|depth\.png"
+    r"|exposed\.(png|json)|depth(_views|_pixels)?\.exr|depth\.png|schlieren\.(exr|png)"
     r"|(white|lightfield|stack|all_in_focus|refocused_[\w.+]+)\.(exr|png)|inputs/.*"
 )
 

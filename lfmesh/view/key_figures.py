@@ -15,6 +15,7 @@ from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.photographs.depth import DepthMap
 from lfmesh.lightfield.photographs.depth_truth import DepthTruth
 from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Photograph
+from lfmesh.lightfield.photographs.schlieren import Schlieren
 from lfmesh.lightfield.views.field import LightField
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.camera.gradient import Gradient
@@ -146,6 +147,18 @@ def _(depth: DepthMap) -> Rows:
 def _(truth: DepthTruth) -> Rows:
     views_v, views_u = truth.views_mm.shape[:2]
     return [("views", f"{views_u} × {views_v}"), *_of_depth(truth.middle_mm)]
+
+
+@key_figures.register
+def _(result: Schlieren) -> Rows:
+    rows, columns = result.misfit.shape[-2:]
+    known = result.deflection_rad[np.isfinite(result.deflection_rad)]
+    error = result.deflection_error_rad[np.isfinite(result.deflection_rad)]
+    figures = [("windows", f"{columns} × {rows}"), ("known", percent(float(np.isfinite(result.misfit).mean())))]
+    if known.size:
+        figures.append(("largest deflection", f"{1e3 * np.abs(known).max():.4g} mrad"))
+        figures.append(("median standard error", f"{1e3 * np.median(error):.2g} mrad"))
+    return [*figures, ("background", f"{result.background_mm:,.5g} mm"), ("flow", f"{result.field_mm:,.5g} mm")]
 
 
 @key_figures.register

@@ -22,6 +22,7 @@ from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.photographs.depth import DepthMap
 from lfmesh.lightfield.photographs.depth_truth import DepthTruth
 from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Photograph
+from lfmesh.lightfield.photographs.schlieren import Schlieren
 from lfmesh.lightfield.views.field import LightField
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.notebook import in_notebook
@@ -173,6 +174,17 @@ def _(depth: DepthMap) -> list[Panel]:
 @panels.register
 def _(truth: DepthTruth) -> list[Panel]:
     return [_map("true depth", truth.middle_mm, "mm")]
+
+
+@panels.register
+def _(result: Schlieren) -> list[Panel]:
+    deflection = 1e3 * result.deflection_rad[result.middle]
+    known = np.abs(deflection[np.isfinite(deflection)])
+    top = float(np.percentile(known, 99.0)) if known.size else 1.0
+    return [
+        _map(f"deflection towards +{letter}", deflection[..., axis], "mrad", -top, top)
+        for axis, letter in enumerate("xy")
+    ]
 
 
 @panels.register

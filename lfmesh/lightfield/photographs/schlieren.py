@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError, warn_caller
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.index_media import bends, index_medium
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.lightfield.photographs.displacement import MARGIN, displacements, window_centres
 from lfmesh.lightfield.views.field import LightField
@@ -236,8 +237,6 @@ def _field_mm(scene: Scene, given: float | None, background: float) -> float:
 
 def _middle_of_flow_mm(scene: Scene) -> float:
     """Return the distance of the middle of all boxes that bend light before the first vertex."""
-    from lfmesh.geometry.index_media import bends, index_medium
-
     numbers = [number for number, medium in enumerate(scene.media) if bends(scene, medium)]
     if not numbers:
         raise LfmeshError("field_mm is missing: no medium of the run bends light, so give the distance of the flow")

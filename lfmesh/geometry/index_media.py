@@ -109,6 +109,25 @@ def any_bends(scene: Scene) -> bool:
     return any(bends(scene, medium) for medium in scene.media)
 
 
+def refuse_bending(scene: Scene, why: str) -> None:
+    """Refuse media that bend light.
+
+    Parameters
+    ----------
+    scene : Scene
+    why : str
+        Reason, with what is valid.
+
+    Raises
+    ------
+    SceneError
+    """
+    for number, medium in enumerate(scene.media):
+        if bends(scene, medium):
+            name = f"media[{number}]" + (f" ({medium.name})" if medium.name else "")
+            raise SceneError(f"{name} bends light: {why}")
+
+
 def index_media(scene: Scene, wavelengths_nm: tuple[float, ...]) -> list[IndexMedium]:
     """Return the media of a scene that bend light.
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
+from lfmesh.geometry.index_media import refuse_bending
 from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
 from lfmesh.scene import Scene
 from lfmesh.scene.quantities import LARGEST
@@ -113,6 +114,7 @@ def numbers_of(name: str, given: object) -> Array:
 
 def refuse_scene(scene: Scene) -> None:
     """Refuse a scene with media, tanks, bodies of glass, gradient-index lenslets or a polariser."""
+    refuse_bending(scene, "a point spread cannot be computed through it; omit it")
     if scene.media or scene.tanks:
         name = "media" if scene.media else "tanks"
         raise LfmeshError(f"{name}: a point spread cannot be computed through them; omit them")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError, warn_caller
+from lfmesh.geometry.index_media import refuse_bending
 from lfmesh.geometry.lens.main_order import left_out, lens_phases, with_main_orders
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Pictured
@@ -162,8 +163,10 @@ def wavefront(
     Raises
     ------
     LfmeshError
-        Meshes, ideal lenses beside real ones, rays that do not pass or cross before the stop, or a wrong value.
+        Media that bend light, meshes, ideal lenses beside real ones, rays that do not pass or cross before the stop, or
+        a wrong value.
     """
+    refuse_bending(scene, "a wavefront is that of the camera alone; omit it")
     camera = solved_camera(scene)
     facts = camera.report
     waves = scene.primary_nm if wavelength_nm is None else wavelength_nm

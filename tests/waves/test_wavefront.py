@@ -275,3 +275,27 @@ def test_terms_that_do_not_count_are_refused(terms: Any) -> None:
     given = lf.load(asset_path("scenes/first_light.toml"))
     with pytest.raises(lf.LfmeshError, match=r"terms = .*: must be a whole number"):
         lf.wavefront(given, across=8).zernike(terms)
+
+
+GAS = {
+    "name": "gas",
+    "bounds": {"kind": "box", "size_mm": [9.0, 9.0, 9.0]},
+    "index": 1.0002,
+    "position_mm": [0, 0, -80],
+}
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lf.wavefront,
+        lambda scene: lf.point_spread(scene, (0.0, 0.0, -300.0)),
+        lf.camera_model,
+        lambda scene: lf.fit_boards(np.ones((8, 8)), scene, [lf.Board(np.ones((8, 8)), square_mm=5.0)]),
+    ],
+)
+def test_media_that_bend_light_are_refused(use: Any) -> None:
+    scene = lf.load(asset_path("scenes/first_light.toml")).changed({"media": [GAS]})
+    with pytest.raises(lf.LfmeshError, match=r"media\[0\] \(gas\) bends light: .*omit it") as refusal:
+        use(scene)
+    assert len(str(refusal.value).splitlines()) == 1

@@ -75,7 +75,8 @@ class Event(IntEnum):
     """Event at a recorded vertex of a path.
 
     SENSOR, ABSORBED, ESCAPED and TARGET end a path like the `Status` of the same name, DEPTH after the largest number
-    of events allowed, LOST after a numerical failure.
+    of events allowed, LOST after a numerical failure. BENT is a point of a curve in a medium that bends light, and no
+    event of its own.
     """
 
     START = 0
@@ -88,11 +89,12 @@ class Event(IntEnum):
     TARGET = 7
     DEPTH = 8
     LOST = 9
+    BENT = 10
 
 
 # Plain integers: numba reads module constants, not the members of an enumeration.
-E_START, E_TRANSMITTED, E_REFLECTED, E_SCATTERED = (
-    int(event) for event in (Event.START, Event.TRANSMITTED, Event.REFLECTED, Event.SCATTERED)
+E_START, E_TRANSMITTED, E_REFLECTED, E_SCATTERED, E_BENT = (
+    int(event) for event in (Event.START, Event.TRANSMITTED, Event.REFLECTED, Event.SCATTERED, Event.BENT)
 )
 S_SENSOR, S_ABSORBED, S_ESCAPED, S_TARGET, S_DEPTH, S_LOST = (
     int(s) for s in (Status.SENSOR, Status.ABSORBED, Status.ESCAPED, Status.TARGET, Status.DEPTH, Status.LOST)

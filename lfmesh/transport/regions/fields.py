@@ -16,6 +16,7 @@ from lfmesh.transport.packets.children import IN_BENDING
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CHORDS,
+    E_BENT,
     E_REFLECTED,
     E_TRANSMITTED,
     END_STATE,
@@ -155,7 +156,7 @@ def _is_stopped_on_chord(fields: BendingFields, space: ObjectSpace, packet: Any)
     if options.record and (event != NO_EVENT or fields.curves):
         inside = max(before, after)
         field = int(inside) - 1 if inside > 0.0 else int(OUTSIDE - after) - 1
-        kind = E_REFLECTED if event == REFLECTED_AT_FACE else E_TRANSMITTED
+        kind = E_REFLECTED if event == REFLECTED_AT_FACE else (E_TRANSMITTED if event != NO_EVENT else E_BENT)
         packet.node = record(
             flow, frames, OBJECT_FRAME, packet.x, packet.y, packet.z, packet.weight, IN_FIELD, fields.medium[field],
             kind, packet.node,

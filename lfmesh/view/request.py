@@ -250,6 +250,7 @@ def together(parts: Sequence[Rays]) -> Rays:
 
     arrays: dict[str, Any] = {name: all_of(name) for name in (*OF_VERTICES, *OF_PATHS)}
     arrays |= {
+        "bent": all_of("bent"),
         "source": np.concatenate([part.source + start for part, start in zip(parts, sources, strict=False)]),
         "sequence": np.concatenate(renumbered),
     }

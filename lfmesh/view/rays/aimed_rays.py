@@ -268,8 +268,9 @@ class Aim:
 
     def _guess(self, slope: Array, aim: Array) -> Array:
         """Return estimated entry points (n, 2) on the plane of the first vertex; paraxial where aiming fails."""
-        if not self.world.lens_shape.analytic.all() or self.world.tables.objects.glass is not None:
-            # Glass and liquids before the lens refract the rays, so they must be traced.
+        objects = self.world.tables.objects
+        if not self.world.lens_shape.analytic.all() or objects.glass is not None or objects.fields is not None:
+            # Glass, liquids and other media before the lens turn the rays, so they must be traced.
             return self._guess_by_fan(slope, aim)
         entry = (aim + self._stop_by_slope * slope) / self._stop_by_entry
         fields, which = np.unique(slope, axis=0, return_inverse=True)

@@ -351,7 +351,7 @@ def _interface(rays: Rays, vertex: int, interfaces: InterfaceTables) -> _Interfa
         row = FRONT_ROW if name == FRONT else REAR_ROW
         table = None if name == SENSOR else interfaces.cover
         return _Interface(np.asarray(axis[0]), table, row, outside=world.media.behind_lens)
-    if rays.event[vertex] in (Event.TRANSMITTED, Event.REFLECTED):
+    if rays.event[vertex] in (Event.TRANSMITTED, Event.REFLECTED) and name in target_names(world):
         body = target_names(world).index(name)
         glass = world.scene.targets[body].refractor
         outside = world.media.before_lens

@@ -11,7 +11,8 @@
 | `cover.front`     | CVa   | face of the sensor's cover glass towards the lens                             |
 | `cover.rear`      | CVb   | its face towards the pixels                                                   |
 
-Ends have the names of the ledger: "sensor", "stop", "mount", "lens[0] edge", "housing", ...; targets their own.
+Ends have the names of the ledger: "sensor", "stop", "mount", "lens[0] edge", "housing", ...; targets their own. Faces
+of media that bend light have the names of the media.
 """
 
 import functools
@@ -27,6 +28,7 @@ from lfmesh.transport.packets.packet import (
     CURVED_FACE,
     ENDS_AT,
     FLAT_FACE,
+    IN_FIELD,
     ON_GLASS,
     ON_TARGET,
 )
@@ -112,6 +114,9 @@ def surface_numbers(world: World, surface: NDArray[np.int64], part: NDArray[np.i
     numbers = np.where(slot >= 0, first_end + slot, numbers)
     for target, own in enumerate(world.tables.objects.target_slot):
         numbers = np.where(slot == own, first_target + target, numbers)
+    in_field = surface == IN_FIELD
+    if in_field.any():
+        numbers = np.where(in_field, first_end + world.book.media[np.where(in_field, part, 0)], numbers)
     return numbers.astype(np.int64)
 
 

@@ -39,7 +39,7 @@ WATT, ETENDUE = "W", "m² sr"
 LETTER = {Event.TRANSMITTED: "T", Event.REFLECTED: "R", Event.SCATTERED: "S"}
 """Letters for the events in a sequence; an end has only its name."""
 
-OF_VERTICES = ("position", "surface", "event", "power", "lenslet", "beyond")
+OF_VERTICES = ("position", "surface", "event", "power", "lenslet", "beyond", "bends")
 OF_PATHS = ("status", "source", "pixel", "wavelength_nm", "sequence")
 """Arrays of `Rays` with one row per vertex, and per path."""
 
@@ -117,6 +117,10 @@ class Rays:
         Lenslet on the curved faces, row by row; −1 elsewhere.
     beyond : (m,) int64
         Number in `world.media` of the medium beyond an interface or around a start; −1 elsewhere.
+    bends : (m,) int64
+        Number of points between a vertex and the next, on curves in media that bend light.
+    bent : (k, 3) float64, mm, world frame
+        These points, vertex by vertex.
     field : FieldPoints, optional
         Field points of the launch; None if some rays were launched otherwise.
     """
@@ -137,6 +141,8 @@ class Rays:
     world: World
     lenslet: Ints
     beyond: Ints
+    bends: Ints
+    bent: Floats
     field: FieldPoints | None = None
 
     def __len__(self) -> int:
@@ -167,8 +173,21 @@ class Rays:
 
     def curves(self, vertices: Ints) -> Curves:
         """Return points along the curved segments that begin at some vertices (k,), world frame."""
-        if not has_gradients(self.world.scene):
-            return {}
+        curves = self._curves_in_air(vertices)
+        return curves | self._curves_in_glass(vertices) if has_gradients(self.world.scene) else curves
+
+    def _curves_in_air(self, vertices: Ints) -> Curves:
+        """Return the curves in media that bend light."""
+        ends = np.cumsum(self.bends)
+        return {
+            vertex: np.vstack([
+                self.position[vertex], self.bent[ends[vertex] - self.bends[vertex] : ends[vertex]],
+                self.position[vertex + 1],
+            ])
+            for vertex in vertices[self.bends[vertices] > 0].tolist()
+        }  # fmt: skip
+
+    def _curves_in_glass(self, vertices: Ints) -> Curves:
         chosen = self.gradients.of(np.flatnonzero(np.isin(self.gradients.vertex, vertices)))
         to_world = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
         curves = curves_of(self.world, self._vertices, chosen)
@@ -248,6 +267,7 @@ class Rays:
         vertices = np.repeat(chosen, lengths)
         arrays: dict[str, Any] = {name: getattr(self, name)[vertices] for name in OF_VERTICES}
         arrays |= {name: getattr(self, name)[chosen] for name in OF_PATHS}
+        arrays["bent"] = self.bent[np.repeat(vertices, self.bends)]
         return replace(self, offsets=np.concatenate([[0], np.cumsum(lengths[chosen])]), **arrays)
 
     def any_vertex(self, of_vertex: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -276,8 +296,12 @@ def assembled(world: World, ended: Records, nodes: Records, wavelengths_nm: Floa
     order = np.argsort(root, kind="stable")
     root, ended, wavelengths_nm = root[order], ended[order], wavelengths_nm[order]
     offsets = np.concatenate([[0], np.cumsum(length[order])])
-    index = _vertices(ended["node"], nodes["parent"], offsets)
-    vertices = nodes[index]
+    every = nodes[_vertices(ended["node"], nodes["parent"], offsets)]
+    met = every["event"] != Event.BENT
+    vertices, bent = every[met], every["position"][~met]
+    # The points of a curve follow the vertex at which it begins.
+    bends = np.bincount(np.cumsum(met)[~met] - 1, minlength=len(vertices))
+    offsets = np.concatenate([[0], np.cumsum(met)])[offsets]
     surface = surface_numbers(world, vertices["surface"], vertices["part"])
     event = vertices["event"].copy()
     # The first recorded event of light emitted by a target is that of its scattering.
@@ -291,7 +315,7 @@ def assembled(world: World, ended: Records, nodes: Records, wavelengths_nm: Floa
         offsets, ended["status"].copy(), np.unique(root, return_inverse=True)[1].reshape(-1), pixel, wavelengths_nm,
         sequence, names, [], WATT if pixels is None else ETENDUE, world,
         np.where(np.isin(surface, [names.index(CURVED), names.index(BACK)]), vertices["part"], NO_SURFACE),
-        vertices["beyond"].copy(),
+        vertices["beyond"].copy(), bends, bent,
     )  # fmt: skip
     return _ranked(rays)
 

@@ -14,11 +14,13 @@ from lfmesh.transport.packets.packet import (
     LENS,
     OBJECT_FRAME,
     OBJECTS,
+    OPTICAL,
     PIXEL_MASK,
     ROULETTE,
     S_ABSORBED,
     S_ESCAPED,
     S_TARGET,
+    STATE,
     STATIONS,
     TRANSMIT,
     WORLD_FRAME,
@@ -77,7 +79,7 @@ def object_segments(work: Workspace, part: Part) -> Segments:
         work.advance(int(np.argmax(work.tops[:STATIONS] * elsewhere)))
     packets = work.stacks.waiting(OBJECTS)
     counts = STANDING[part.options.paths] == COUNTS
-    if not work.world.targets:
+    if not work.world.targets and work.tables.objects.fields is None:
         segments = _pieces(packets, work, packets["frame"], counts)
         work.tops[OBJECTS] = 0
         return segments
@@ -108,6 +110,8 @@ def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], cou
         to_world = work.tables.frames[number, WORLD_FRAME]
         p[some], d[some] = frames.points(to_world, p[some]), frames.directions(to_world, d[some])
     index = work.tables.objects.media.indices[packets["medium"], packets["colour"]]
+    if work.tables.objects.fields is not None:
+        index = _in_fields(packets, index)
     weight = packets["weight"] / (index * index)
     # Other paths belong to other parts.
     weight = np.where(counts[packets["path"]], weight, 0.0)
@@ -119,11 +123,17 @@ def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], cou
     return Segments(p, d, np.full(len(p), np.inf), weight, pixel, colour, place.astype(np.int64), per_mm)
 
 
+def _in_fields(packets: NDArray[np.void], around: Array) -> Array:
+    """Return the index at packets, (n,): in a medium that bends light, the length of the optical ray vector."""
+    inside = (packets["chord"][:, STATE] > 0.0) & (packets["chord"][:, OPTICAL] > 0.0)
+    return np.where(inside, packets["chord"][:, OPTICAL], around)
+
+
 def _followed(work: Workspace, counts: NDArray[np.bool_]) -> Segments:
     """Trace packets from target to target until they end, and return the segments of their paths.
 
     A packet's `node` numbers its segment. A packet that queries Embree again keeps its origin; a child starts at its
-    parent's end.
+    parent's end. In a medium that bends light each chord is a segment.
     """
     found = _pieces(work.stacks.waiting(OBJECTS)[:0], work, np.zeros(0, np.int8), counts)
     # Origins of the segments in the object frame, as the packets hold them.

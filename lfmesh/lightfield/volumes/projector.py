@@ -22,12 +22,13 @@ from lfmesh.errors import (
     warn_caller,
 )
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.index_media import bends
 from lfmesh.geometry.voxels import read_voxels
 from lfmesh.lightfield.volumes.chords import Haze, Room, Rows, room_for, sum_rows
 from lfmesh.lightfield.volumes.object_segments import Segments, object_segments
 from lfmesh.lightfield.volumes.voxel_box import VoxelBox
 from lfmesh.lightfield.volumes.voxel_pictures import voxel_pictures
-from lfmesh.scene import Scene
+from lfmesh.scene import Medium, Scene
 from lfmesh.scene.literals import literal
 from lfmesh.transport.build import build
 from lfmesh.transport.checks.found import given_up
@@ -122,8 +123,8 @@ class Projector:
         alone: dict[str, Any] = {
             "transport.method": "adjoint", "transport.diffraction": "none", "lights": (), "particles": (),
         }  # fmt: skip
-        self.world = build(scene.changed(alone | ({} if absorption else {"media": ()})))
-        self._volumes = self.world.tables.objects.volumes
+        self.world = build(scene.changed(alone | ({} if absorption else {"media": _bending_alone(scene)})))
+        self._volumes = self.world.tables.objects.volumes if absorption else None
         self._place = _place_of(self.world, inside)
         front = frames.points(self.world.tables.frames[WORLD_FRAME, CAMERA_FRAME], self.grid.corners_mm())[:, 2].max()
         if not front < 0.0:
@@ -149,7 +150,9 @@ class Projector:
     def pixels_at_once(self) -> int:
         """Pixels per block."""
         rays = sum(part.samples(self.tracer.samples) for part in self.parts) * self.replicates
-        return max(1, min(1 << 16, RAYS_AT_ONCE // rays))
+        fields = self.world.tables.objects.fields
+        chords = 1 if fields is None else 1 + int(fields.fields.rows["slabs"].max())
+        return max(1, min(1 << 16, RAYS_AT_ONCE // (rays * chords)))
 
     def blocks(self, pixels: Numbers) -> Iterator[Numbers]:
         """Yield the pixels of each block."""
@@ -314,5 +317,23 @@ def _dimming(scene: Scene) -> list[str]:
     return names
 
 
+def _bending_alone(scene: Scene) -> tuple[Medium, ...]:
+    """Return the media that bend light; refuse those that dim it as well."""
+    found = []
+    dimming = _dimming(scene)
+    for number, medium in enumerate(scene.media):
+        if not bends(scene, medium):
+            continue
+        if (name := medium.name or f"media[{number}]") in dimming:
+            raise SceneError(f"{name} bends light and dims it: give absorption = True, which includes both")
+        found.append(medium)
+    return tuple(found)
+
+
 def _workspace(world: Any, part: Part) -> Workspace:
-    return Workspace(world, part.options, CHUNK, part.tables)
+    tables, objects = part.tables, part.tables.objects
+    if objects.fields is not None:
+        # Each chord is a segment: no field is crossed in one move.
+        fields = objects.fields._replace(free=np.zeros_like(objects.fields.free))
+        tables = tables._replace(objects=objects._replace(fields=fields))
+    return Workspace(world, part.options, CHUNK, tables)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.voxels import INDEX_QUANTITIES, VoxelGrid, quantities_in, read_voxels
+from lfmesh.geometry.voxels import INDEX_QUANTITIES, OF_LINES, VoxelGrid, quantities_in, read_voxels
 from lfmesh.optics.gladstone_dale import air_density
 from lfmesh.optics.glass import refractive_index
 from lfmesh.optics.gradient_shapes import GradientProfile
@@ -102,6 +102,20 @@ def bends(scene: Scene, medium: Medium) -> bool:
         return medium.bends
     names = quantities_in(scene.resolve(medium.grid.file), medium.grid.quantity)
     return any(name in INDEX_QUANTITIES for name in names)
+
+
+def only_bends(scene: Scene, medium: Medium) -> bool:
+    """Return True if a medium of a scene bends light, and neither absorbs, scatters nor emits it.
+
+    Parameters
+    ----------
+    scene : Scene
+    medium : Medium
+    """
+    if medium.acts or not bends(scene, medium):
+        return False
+    held = () if medium.grid is None else quantities_in(scene.resolve(medium.grid.file), medium.grid.quantity)
+    return not any(name in OF_LINES for name in held)
 
 
 def any_bends(scene: Scene) -> bool:

@@ -24,7 +24,10 @@ Interpolation = Literal["trilinear", "constant"]
 INDEX_QUANTITIES = ("index", "density_kg_m3", "pressure_kpa")
 """Quantities that set the index; a pressure does so together with temperature_k."""
 
-QUANTITIES = ("absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr", "temperature_k", *INDEX_QUANTITIES)
+OF_LINES = ("absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr")
+"""Quantities by which light changes along straight lines."""
+
+QUANTITIES = (*OF_LINES, "temperature_k", *INDEX_QUANTITIES)
 """Quantities that a grid may hold, by the names of their arrays."""
 
 PLACE = ("spacing_mm", "origin_mm")

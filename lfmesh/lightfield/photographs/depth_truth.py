@@ -1,6 +1,7 @@
 """True depth: traced distances to the first target on rays of views and raw pixels.
 
-Media and particles have none, as light comes from all along a line of sight; rays pass through them.
+Media and particles have none, as light comes from all along a line of sight; rays pass through them. In media that bend
+light, rays are curves.
 """
 
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.index_media import only_bends
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.lightfield.rays.view_rays import ViewRays, image_path_engine
 from lfmesh.lightfield.views.decode import view_count
@@ -112,8 +114,10 @@ def depth_truth(
 
 
 def without_depth(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a scene's media and groups of particles."""
-    media = (medium.name or f"media[{number}]" for number, medium in enumerate(scene.media))
+    """Return the names of a scene's media and groups of particles; rays follow media that only bend light."""
+    media = (
+        medium.name or f"media[{number}]" for number, medium in enumerate(scene.media) if not only_bends(scene, medium)
+    )
     return *media, *(f"particles[{number}]" for number in range(len(scene.particles)))
 
 

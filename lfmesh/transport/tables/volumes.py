@@ -14,7 +14,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.shell_tree import tree_of
 from lfmesh.geometry.objects.primitives import primitive
 from lfmesh.geometry.objects.refractors import bounding_mesh
-from lfmesh.geometry.voxels import VoxelGrid, read_voxels
+from lfmesh.geometry.voxels import OF_LINES, VoxelGrid, read_voxels
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.cie import planck_constants
 from lfmesh.optics.phase import PHASE, PhaseTables, phase_tables
@@ -34,9 +34,6 @@ Array = NDArray[np.float64]
 
 IN_FRONT, BOX, SPHERE, CYLINDER, SHELL = range(5)
 """Kinds of bounds."""
-
-OF_LINES = ("absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr")
-"""Arrays of a grid by which light changes along straight lines."""
 
 PER_VOLUME, OF_VOXELS, OF_BODY, BY_TEMPERATURE = range(4)
 """Kinds of emission: uniform, by voxels, as a body of one temperature, or by voxel temperatures."""

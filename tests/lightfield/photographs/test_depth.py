@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.files.depth import save_depth
+from lfmesh.lightfield.photographs.depth_truth import without_depth
 from lfmesh.lightfield.rays.view_rays import ViewRays, traced_shift
 from lfmesh.scene import Scene
 from tests.instances import instances
@@ -275,3 +276,22 @@ def test_media_and_particles_are_named_as_what_has_no_true_depth(camera: Callabl
         said = depth.in_words(truth.middle_mm, truth.without_depth)
         assert said.endswith(words) or words in said, said
         assert np.isfinite(truth.middle_mm).any() == bool(scene.targets)
+
+
+def test_media_that_only_bend_light_hide_no_depth(camera: Callable[..., Scene], tmp_path: Path) -> None:
+    box = {"bounds": {"kind": "box", "size_mm": [9.0, 9.0, 9.0]}, "index": 1.0002}
+    np.savez(tmp_path / "hot.npz", temperature_k=np.full((2, 2, 2), 400.0), spacing_mm=np.full(3, 5.0))
+    np.savez(
+        tmp_path / "soot.npz",
+        index=np.ones((2, 2, 2)),
+        absorption_per_mm=np.ones((2, 2, 2)),
+        spacing_mm=np.full(3, 5.0),
+    )
+    media = [
+        box | {"name": "gas", "position_mm": [0.0, 0.0, -80.0]},
+        {"name": "hot", "grid": "hot.npz", "pressure_kpa": 101.3, "position_mm": [0.0, 0.0, -120.0]},
+        {"name": "soot", "grid": "soot.npz", "position_mm": [0.0, 0.0, -160.0]},
+        box | {"name": "fog", "scattering_per_mm": 0.1, "position_mm": [0.0, 0.0, -200.0]},
+        {"name": "air", "absorption_per_mm": 1e-6},
+    ]
+    assert without_depth(camera().in_folder(tmp_path).changed({"media": media})) == ("soot", "fog", "air")

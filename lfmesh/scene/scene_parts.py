@@ -43,7 +43,7 @@ class SceneParts(Model):
     lights: tuple[Light, ...] = Field(default=(), json_schema_extra=or_table(GltfLights))
     """Lamps; also { file = "scene.glb" }: every light of a glTF file."""
     media: tuple[Medium, ...] = ()
-    """Media in front of the camera that absorb, scatter or emit: flames, fog, smoke."""
+    """Media in front of the camera that absorb, scatter, emit or bend light: flames, fog, smoke, flows."""
     particles: tuple[Particles, ...] = ()
     """Points in front of the camera that shine, or scatter the light of a sheet."""
     coatings: dict[str, Coating] = Field(default_factory=dict)

@@ -338,6 +338,28 @@ def cloud(draft: Draft, dice: Dice) -> bool | None:
     return None
 
 
+@feature(scenes=0.06, own_kernels=True)
+def bent_air(draft: Draft, dice: Dice) -> bool | None:
+    """A box of warm or cold air, or of a weak lens, that bends light by up to some mrad; no glass reaches into it."""
+    glass = any("refractor" in target for target in draft.tables["targets"]) or "tanks" in draft.tables
+    if glass or "object_medium" in draft.camera or {"polarisation", "diffraction"} & draft.transport.keys():
+        return False
+    where, half = place(draft, dice, 0.4, 0.9)
+    size = rounded(half * dice.between(0.3, 1.2))
+    # The corners of a box as long as wide are √(1/2) of its size from the axis.
+    steepest = rounded(dice.log_between(1e-5, 8e-4) * dice.one_of(-2.0, 2.0) / size**2)
+    law = dice.one_of(
+        {"index": {"kind": "radial_n", "index": 1.0, "coefficients": [steepest]}},
+        {"index": {"kind": "axial", "index": 1.0, "coefficients": [rounded(0.5 * size * steepest)]}},
+        {"density_kg_m3": dice.between(0.1, 3.0)},
+    )
+    bounds = {"kind": "box", "size_mm": [size, size, rounded(size * dice.between(0.3, 1.0))]}
+    if dice.chance(0.4):
+        law |= medium_of(draft, dice, size)
+    draft.add("media", law | {"bounds": bounds, "position_mm": where, "rotation_deg": turned(dice)})
+    return None
+
+
 @feature(scenes=0.1)
 def shining_particles(draft: Draft, dice: Dice) -> bool | None:
     where, half = place(draft, dice, 0.6, 0.9)

@@ -118,7 +118,7 @@ def _scaled_gradient(gradient: Tables, k: float) -> Tables:
 
 
 def _scaled_value(key: str, value: Any, k: float) -> Any:
-    if key == "gradient":
+    if key == "gradient" or (key == "index" and isinstance(value, dict)):
         return _scaled_gradient(value, k)
     if isinstance(value, dict):
         return _scaled(value, k)
@@ -223,7 +223,9 @@ def isothermal(scene: Tables) -> tuple[Tables, Tables]:
             material["temperature_k"] = KELVIN
     for medium in scene.get("media", []):
         medium.pop("emission_w_mm3_sr", None)
-        medium["temperature_k"] = KELVIN
+        # One that bends light, and absorbs nothing, emits nothing.
+        if "absorption_per_mm" in medium:
+            medium["temperature_k"] = KELVIN
     wall = scene["targets"][0]["shape"]["width_mm"]
     half, depth = 3.0 * wall, 1.1 * scene["camera"]["focus_mm"]
     room = list(_room(half, depth, 0.1 * wall))

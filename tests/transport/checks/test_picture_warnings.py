@@ -154,6 +154,13 @@ def cut_balls(_: Patch, __: Path) -> lf.Scene:
     return balls(8.0)
 
 
+def coarse(_: Patch, folder: Path) -> lf.Scene:
+    """Warm air of 4 mm, in voxels of 2 mm."""
+    r2 = sum(np.meshgrid(*[np.linspace(-8.0, 8.0, 9) ** 2] * 3))
+    np.savez(folder / "air.npz", index=1.0 - 1e-4 * np.exp(-r2 / 16.0), spacing_mm=2.0)
+    return scene(media=[{"grid": "air.npz", "position_mm": (0.0, 0.0, -60.0)}])
+
+
 def disordered(patch: Patch, _: Path) -> lf.Scene:
     def spoil(world: Any) -> None:
         order = world.tables.lens.order.copy()
@@ -182,6 +189,7 @@ CASES: dict[type[PictureWarning], Callable[[Patch, Path], lf.Scene]] = {
     lf.ClosedGapWarning: gap,
     lf.CutBodiesWarning: cut_balls,
     lf.FoldedPatchesWarning: lost,
+    lf.CoarseFieldWarning: coarse,
     lf.OrderCheckWarning: disordered,
     lf.DiffractionWarning: diffraction,
 }
@@ -237,7 +245,9 @@ def test_python_the_command_line_and_the_report_say_the_same(
     assert all(err.count(f"Warning: {each} [{type(each).__name__}]") == 1 for each in image.warnings)
 
 
-@pytest.mark.parametrize("kind", [lf.HiddenSceneWarning, lf.ClosedGapWarning, lf.DiffractionWarning])
+@pytest.mark.parametrize(
+    "kind", [lf.HiddenSceneWarning, lf.ClosedGapWarning, lf.CoarseFieldWarning, lf.DiffractionWarning]
+)
 def test_a_check_says_once_what_a_render_would_warn_of(
     kind: type[PictureWarning], home: Path, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
 ) -> None:

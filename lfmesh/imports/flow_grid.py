@@ -5,6 +5,8 @@ A value at a voxel's centre is the one that VTK interpolates in the cell around 
 difference between the file and the resampled grid, interpolated as media are, on a grid twice as fine.
 """
 
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -18,8 +20,10 @@ from scipy import ndimage
 from lfmesh.errors import FileError
 from lfmesh.geometry.files.mesh_file import MM_PER_UNIT
 from lfmesh.geometry.voxels import INDEX_QUANTITIES, MOST_VOXELS, QUANTITIES, VoxelGrid, voxel_grid
+from lfmesh.imports import vtk_child
 from lfmesh.optics.index_fields import field_table, index_field, indices_at
 from lfmesh.regular_file import why_no_file
+from lfmesh.scene.memory import physical_memory_bytes
 
 Array = NDArray[np.float64]
 
@@ -178,6 +182,8 @@ def _volume(path: Path, time_s: float | None) -> Any:
     """Return the cells of a flow file that have a volume, as a data set of pyvista's."""
     if not path.is_file():
         raise FileError(f"{path}: cannot be read as a flow: it {why_no_file(path)}")
+    if _crashes(path):
+        raise FileError(f"{path}: cannot be read as a flow: it is damaged, or larger than this machine's memory")
     import pyvista
     from vtkmodules.vtkCommonCore import vtkObject
 
@@ -203,6 +209,14 @@ def _volume(path: Path, time_s: float | None) -> Any:
         raise FileError(f"{path}: cannot be read as a flow: {why}") from None
     finally:
         vtkObject.SetGlobalWarningDisplay(shown)
+
+
+def _crashes(path: Path) -> bool:
+    """Tell whether VTK's reader crashes on a file; what it refuses in words is for the reader here."""
+    memory = str(min(physical_memory_bytes(), sys.maxsize))
+    # Without -m: see `geometry.files.cad_file`.
+    command = [sys.executable, "-P", vtk_child.__file__, str(path), memory, "flow"]
+    return subprocess.run(command, capture_output=True, check=False).returncode not in (0, 1)
 
 
 def _is_solid(mesh: Any) -> NDArray[np.bool_]:

@@ -183,6 +183,16 @@ def test_the_last_time_of_an_openfoam_case_is_read_in_metres(tmp_path: Path) -> 
         resampled(case, (T,), Resampling((500.0,) * 3, time_s=2.0))
 
 
+def test_a_file_that_crashes_the_reader_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The trial in another process ends by a signal, as after a segmentation fault."""
+    path = flow(tmp_path / "f.vtu", linear)
+    script = tmp_path / "crash.py"
+    script.write_text("import os\nos.abort()\n")
+    monkeypatch.setattr("lfmesh.imports.vtk_child.__file__", str(script))
+    with pytest.raises(FileError, match="it is damaged, or larger than this machine's memory"):
+        resampled(path, (T,), Resampling((1e3,) * 3, "m"))
+
+
 def test_the_command_writes_the_grid_of_a_medium(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = flow(tmp_path / "f.vtu", linear), tmp_path / "plume.vti"
     given = ["grid", str(path), "-o", str(out), "--units", "m", "--spacing-mm", "1000", "1000", "1000"]

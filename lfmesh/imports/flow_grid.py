@@ -289,9 +289,9 @@ def _values(
     mesh: Any, arrays: tuple[FlowArray, ...], axes: tuple[Array, Array, Array]
 ) -> tuple[dict[str, Array], NDArray[np.bool_]]:
     """Return the quantities at all nodes, (nx, ny, nz) each, and whether a node lies in a cell."""
-    parts = [part for _, *part in _layers(mesh, arrays, axes)]
-    inside = np.concatenate([valid for _, valid in parts])
-    return {each.quantity: np.concatenate([values[each.quantity] for values, _ in parts]) for each in arrays}, inside
+    layers = list(_layers(mesh, arrays, axes))
+    inside = np.concatenate([valid for _, _, valid in layers])
+    return {each.quantity: np.concatenate([values[each.quantity] for _, values, _ in layers]) for each in arrays}, inside
 
 
 def _layers(

@@ -260,8 +260,8 @@ def _index_round(medium: SceneMedium) -> Rows:
     """Return the keys that set the index of a medium."""
     if isinstance(medium.index, Gradient):
         return [("index", medium.index.in_words())]
-    keys = ("index", "density_kg_m3", "gladstone_dale_m3_kg", "pressure_kpa")
-    keys = (*keys, "temperature_k") if medium.pressure_kpa is not None else keys
+    keys = ["index", "density_kg_m3", "gladstone_dale_m3_kg", "pressure_kpa"]
+    keys += ["temperature_k"] if medium.pressure_kpa is not None else []
     return [(key, f"{value:g}") for key in keys if (value := getattr(medium, key)) is not None]
 
 

@@ -291,7 +291,8 @@ def _values(
     """Return the quantities at all nodes, (nx, ny, nz) each, and whether a node lies in a cell."""
     layers = list(_layers(mesh, arrays, axes))
     inside = np.concatenate([valid for _, _, valid in layers])
-    return {each.quantity: np.concatenate([values[each.quantity] for _, values, _ in layers]) for each in arrays}, inside
+    names = [each.quantity for each in arrays]
+    return {name: np.concatenate([values[name] for _, values, _ in layers]) for name in names}, inside
 
 
 def _layers(

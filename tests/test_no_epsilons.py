@@ -34,7 +34,7 @@ DIMENSIONLESS = {
     "geometry/surfaces/profile_fit.py": {"FIRST_DAMPING", "FLAT_ENOUGH", "ROUNDED", "SETTLED"},
     "geometry/objects/refractors.py": {"FLAT_SHADED", "NO_POWER", "SAME_NORMAL", "SLIVER"},
     "geometry/files/polygons.py": {"STRAIGHT"},
-    "geometry/index_media.py": {"PARALLEL", "ROUNDING"},
+    "geometry/index_media.py": {"LARGEST_STEP", "PARALLEL", "ROUNDING"},
     "geometry/files/step_surfaces.py": {"SI_PREFIXES", "SMALLEST"},
     "geometry/meshes/shell_tree.py": {"MARGIN"},
     "geometry/surfaces/surface.py": {"SETTLED"},

@@ -55,6 +55,17 @@ def test_a_medium_that_varies_is_drawn_as_shells_of_equal_amount(tmp_path: Path)
     assert dict(describe(world, "media[0]"))["effect"] == "emits up to 1e-06 W/(mm³ sr)"
 
 
+def test_a_medium_that_bends_light_is_described_by_its_law() -> None:
+    """Air that absorbs nothing does not glow."""
+    box = {"bounds": {"kind": "box", "size_mm": [10.0, 10.0, 10.0]}}
+    air = dict(describe(world_of(box | {"temperature_k": 400.0, "pressure_kpa": 101.3}), "media[0]"))
+    assert (air["effect"], air["pressure_kpa"], air["temperature_k"]) == ("bends light", "101.3", "400")
+    formula = {"kind": "radial_n", "index": 1.0, "coefficients": [-1e-6]}
+    lens = dict(describe(world_of(box | {"index": formula, "absorption_per_mm": 0.01}), "media[0]"))
+    assert lens["effect"] == "absorbs 0.01 per mm, bends light"
+    assert lens["index"] == "gradient radial_n, n = 1 at the vertex"
+
+
 def test_a_medium_is_named_in_the_picture_and_in_the_caption(views: Callable[..., View]) -> None:
     view = views(world_of({"bounds": {"kind": "sphere", "radius_mm": 12.0}, "scattering_per_mm": 0.05}))
     view.look("object")

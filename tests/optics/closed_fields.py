@@ -119,3 +119,51 @@ def _bouguer(delta: float, width: float, impact: float) -> tuple[Any, Any, Any]:
         return 2 / mp.sqrt(((index(r) * r) ** 2 - b * b) / (u * u))
 
     return nearest, index, root
+
+
+def in_duct(ray: Array, rates: Array, sigma: Any) -> Array:
+    """Return the position and T of a ray in n² = n₀² − Σ g² x², in 30 digits: harmonic in σ."""
+    with mp.workdps(DIGITS):
+        at, along = [], []
+        for r, t, g in zip(ray[:3].tolist(), ray[3:6].tolist(), rates.tolist(), strict=True):
+            r, t, g = mp.mpf(r), mp.mpf(t), mp.mpf(g)
+            at.append(r * mp.cos(g * sigma) + (t * mp.sin(g * sigma) / g if g else t * sigma))
+            along.append(t * mp.cos(g * sigma) - g * r * mp.sin(g * sigma))
+        return np.array([*at, *along], np.float64)
+
+
+def over_hot_plate(ray: Array, strength: float, height: float, sigma: Any) -> tuple[float, float]:
+    """Return y and T_y in n² = n₀² − A exp(−y/l).
+
+    With E = T_y² + A exp(−y/l), which is constant, exp(y/2l) = √(A/E) cosh(√E (σ − σ₀)/2l).
+    """
+    with mp.workdps(DIGITS):
+        y, t, a, el = mp.mpf(ray[1]), mp.mpf(ray[4]), mp.mpf(strength), mp.mpf(height)
+        energy = t * t + a * mp.exp(-y / el)
+        rate = mp.sqrt(energy) / (2 * el)
+        phase = rate * sigma + mp.atanh(t / mp.sqrt(energy))
+        bottom = 2 * el * mp.log(mp.sqrt(a / energy) * mp.cosh(phase))
+        return float(bottom), float(mp.sqrt(energy) * mp.tanh(phase))
+
+
+def in_linear_index(ray: Array, index: float, slope: float, length: float) -> tuple[Array, float]:
+    """Return position and T, (6,), and the length of the path of a ray in n = n₀ + b y, at a distance along z.
+
+    As a function of σ, n is a hyperbolic cosine: d²n/dσ² = b² n. The other components of T are constant.
+
+    Parameters
+    ----------
+    ray : (6 or more,) float
+        Position, mm, and T at the start.
+    index, slope : float
+        n₀, and b in mm⁻¹.
+    length : float, mm
+    """
+    with mp.workdps(DIGITS):
+        x, y, z, tx, ty, tz = (mp.mpf(each) for each in ray[:6].tolist())
+        b = mp.mpf(slope)
+        n, sigma = mp.mpf(index) + b * y, mp.mpf(length) / tz
+        cosh, sinh = mp.cosh(b * sigma), mp.sinh(b * sigma)
+        behind = n * cosh + ty * sinh
+        end = [x + tx * sigma, (behind - mp.mpf(index)) / b, z + length, tx, n * sinh + ty * cosh, tz]
+        return np.array(end, np.float64), float((n * sinh + ty * (cosh - 1)) / b)

@@ -20,7 +20,6 @@ from lfmesh.optics.index_field_path import (
 from lfmesh.optics.index_fields import LEAPFROG, RUNGE_KUTTA, IndexFields, field_table, index_field, indices_at
 from tests.optics.closed_fields import (
     BALL,
-    DIGITS,
     HARMONIC,
     LAYER,
     LINEAR,
@@ -29,6 +28,9 @@ from tests.optics.closed_fields import (
     box,
     field,
     followed,
+    in_duct,
+    in_linear_index,
+    over_hot_plate,
     start,
 )
 
@@ -136,17 +138,6 @@ def test_the_etendue_is_conserved_but_for_the_error_of_integration(scheme: int) 
     assert errors[1] < 0.4 * errors[0]
 
 
-def in_duct(ray: Array, rates: Array, sigma: Any) -> Array:
-    """Return the position and T of a ray in n² = n₀² − Σ g² x², in 30 digits: harmonic in σ."""
-    with mp.workdps(DIGITS):
-        at, along = [], []
-        for r, t, g in zip(ray[:3].tolist(), ray[3:6].tolist(), rates.tolist(), strict=True):
-            r, t, g = mp.mpf(r), mp.mpf(t), mp.mpf(g)
-            at.append(r * mp.cos(g * sigma) + (t * mp.sin(g * sigma) / g if g else t * sigma))
-            along.append(t * mp.cos(g * sigma) - g * r * mp.sin(g * sigma))
-        return np.array([*at, *along], np.float64)
-
-
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_parabolic_duct_is_harmonic(scheme: int) -> None:
     rates = np.array([0.02, 0.03, 0.0])
@@ -160,20 +151,6 @@ def test_a_parabolic_duct_is_harmonic(scheme: int) -> None:
         errors.append(np.abs(ends[0, :6] - truth).max())
     assert np.log2(np.divide(errors[:2], errors[1:])) == pytest.approx(ORDER[scheme], abs=0.15)
     assert errors[1] < {LEAPFROG: 2e-3, RUNGE_KUTTA: 3e-7}[scheme]
-
-
-def over_hot_plate(ray: Array, strength: float, height: float, sigma: Any) -> tuple[float, float]:
-    """Return y and T_y in n² = n₀² − A exp(−y/l).
-
-    With E = T_y² + A exp(−y/l), which is constant, exp(y/2l) = √(A/E) cosh(√E (σ − σ₀)/2l).
-    """
-    with mp.workdps(DIGITS):
-        y, t, a, el = mp.mpf(ray[1]), mp.mpf(ray[4]), mp.mpf(strength), mp.mpf(height)
-        energy = t * t + a * mp.exp(-y / el)
-        rate = mp.sqrt(energy) / (2 * el)
-        phase = rate * sigma + mp.atanh(t / mp.sqrt(energy))
-        bottom = 2 * el * mp.log(mp.sqrt(a / energy) * mp.cosh(phase))
-        return float(bottom), float(mp.sqrt(energy) * mp.tanh(phase))
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -218,14 +195,10 @@ def test_a_linear_index_is_a_catenary() -> None:
     table.rows["scheme"], table.rows["step"] = RUNGE_KUTTA, 0.5
     rays = entries(table, 0, [(0.0, -10.0, -40.0)], [(0.0, 0.0, 1.0)])
     faces, ends = traced(table, 0, rays)
-    with mp.workdps(DIGITS):
-        along = mp.mpf(rays[0, 5])
-        phase = mp.mpf(slope) * 61 / along
-        height = (along * mp.cosh(phase) - mp.mpf(n0)) / mp.mpf(slope)
-        rise = along * mp.sinh(phase)
+    truth, _ = in_linear_index(rays[0], n0, slope, 61.0)
     assert faces[0] == 5
-    assert abs(ends[0, 1] - float(height)) < 1e-10
-    assert abs(ends[0, 4] - float(rise)) < 1e-11
+    np.testing.assert_allclose(ends[0, :3], truth[:3], rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(ends[0, 3:6], truth[3:], rtol=0.0, atol=1e-11)
 
 
 def blobs(amplitude: float, seed: int = 0) -> IndexFields:

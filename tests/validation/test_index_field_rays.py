@@ -286,7 +286,7 @@ def test_a_mirage_above_a_hot_plate(tmp_path: Path) -> None:
     y, rise = over_hot_plate(above, strength, height, 2000.0 / mp.mpf(float(ray[5])))
     assert rise > 0.012
     ends = sent(lf.build(scene_of(grid_of(tmp_path, spacing, index=values), folder=tmp_path)), at - 30.0 * along, along)
-    assert_on_lines(ends, [[0.0, y - up, 1000.0]], from_sines([0.0, rise]), 2e-3, 2e-6)
+    assert_on_lines(ends, [[0.0, y - up, 1000.0]], from_sines([0.0, rise]), 1e-4, 1e-6)
 
 
 # Faces

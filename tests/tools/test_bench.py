@@ -33,9 +33,10 @@ CASES = {
     "paired": ["--quick", "--shift-um", "20"],
     "spreads": ["--quick"],
     "elements": ["--quick", "--samples", "2"],
+    "fields": ["--quick", "--samples", "2"],
     "startup": ["--quick"],
 }
-LONG = ("errors", "lens", "startup", "against", "scaling", "media", "paired", "render", "spreads", "elements")
+LONG = ("errors", "lens", "startup", "against", "scaling", "media", "paired", "render", "spreads", "elements", "fields")
 """Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size, lens
 for each lens and each other program. Of commands that render scenes and print tables of them, image and errors are in
 the suite.
@@ -58,6 +59,7 @@ TABLES = {
     "paired": {"paired": "COLUMNS", "needed": "NEED_COLUMNS"},
     "spreads": {"spreads": "COLUMNS"},
     "elements": {"elements": "COLUMNS"},
+    "fields": {"fields": "COLUMNS", "steps": "STEP_COLUMNS"},
     "startup": {"startup": "COLUMNS"},
 }
 

@@ -139,7 +139,7 @@ def edges_and_corners_of_fields() -> Outcome:
     points, along = points @ turn.T, along @ turn.T
     field = _box(tuple(size.tolist()), index=1.0, rotation_deg=angles)
     paths = _sent(_with(field), points - 80.0 * along, along)
-    return _judged(paths, points, along, 1.0, within=1e-13)
+    return _judged(paths, points, along, 1.0, within=1e-12)
 
 
 @case

@@ -263,26 +263,27 @@ def plume(x: Any, y: Any, z: Any) -> Any:
     return 1.0 - DEPTH * (WIDEST / width) ** 2 * np.exp(-(x * x + z * z) / width**2)
 
 
-def rates(_: float, state: Array) -> Array:
+def rates(_: float, state: Array, size: float) -> Array:
     """Return dr/dσ = T and dT/dσ = n ∇n in the plume, with differences of the formula for its gradient."""
-    at, step = state[:3] - AXIS, 1e-4
-    gradient = [(plume(*(at + e)) - plume(*(at - e))) / (2.0 * step) for e in step * np.eye(3)]
+    at, step = (state[:3] - AXIS) / size, 1e-4
+    gradient = [(plume(*(at + e)) - plume(*(at - e))) / (2.0 * step * size) for e in step * np.eye(3)]
     return np.concatenate([state[3:], plume(*at) * np.array(gradient)])
 
 
-def landing(point: Array) -> Array:
+def landing(point: Array, size: float = 1.0) -> Array:
     """Return where the chief ray of a point of the dots' plane meets the sensor, (2,) mm.
 
-    The path integral through the plume is SciPy's, from the centre of the lens, which no ray is bent by.
+    The path integral through a plume of some times the size is SciPy's, from the centre of the lens, which bends no ray
+    there.
     """
 
     def missed(slope: Array) -> Array:
         d = np.array([*slope, -1.0])
-        start = (PLUME_MM - FADED_MM) * d
+        start = (PLUME_MM - FADED_MM * size) * d
         d /= np.linalg.norm(d)
-        through = (0.0, -2.0 * FADED_MM / d[2])
+        through = (0.0, -2.0 * FADED_MM * size / d[2])
         end = solve_ivp(
-            rates, through, [*start, *d], rtol=1e-11, atol=1e-12, method="DOP853", max_step=4.0
+            rates, through, [*start, *d], args=(size,), rtol=1e-11, atol=1e-12, method="DOP853", max_step=4.0 * size
         ).y[:, -1]  # fmt: skip
         return np.asarray((end[:3] - (DOTS_MM + end[2]) / end[5] * end[3:])[:2] - point, np.float64)
 
@@ -295,29 +296,30 @@ def dots() -> Array:
     return np.array([(a, b) for a in x for b in x])
 
 
-def board(folder: Path, *, seen_through_plume: bool) -> lf.Scene:
-    """Return a camera that looks at dots that shine."""
-    spread = 1.0
-    at = nodes((81, 61, 81), spread)
-    media = []
-    if seen_through_plume:
-        media = [grid_of(folder, spread, index=plume(*np.moveaxis(at, -1, 0)))]
-        media[0] |= {"position_mm": (0.0, 0.0, -PLUME_MM), "rotation_deg": (0.0, 0.0, 0.0)}
+def board(folder: Path, targets: list[Tables], size: float | None, seed: int = 0) -> lf.Scene:
+    """Return a camera that looks at targets that shine, through a plume of some times the size, or None."""
+    at, media = nodes((81, 61, 81)), []
+    if size is not None:
+        media = [grid_of(folder, size, index=plume(*np.moveaxis(at, -1, 0)))]
+        media[0] |= {"position_mm": AXIS.tolist(), "rotation_deg": (0.0, 0.0, 0.0)}
     lens = {"paraxial": True, "focal_length_mm": 50.0, "semi_diameter_mm": 0.5, "stop": True}
     camera = {
         "focus_mm": DOTS_MM, "lens": {"surfaces": [lens]}, "sensor": {"pixels": (FINE, FINE), "pixel_mm": FINE_MM}
     }  # fmt: skip
-    targets = [
-        {"shape": {"kind": "disk", "radius_mm": DOT_MM}, "position_mm": (*at.tolist(), -DOTS_MM),
-         "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}} for at in dots()
-    ]  # fmt: skip
-    settings = {"split": "transmit", "samples": 64, "replicates": 8, "threads": 1}
+    settings = {"split": "transmit", "samples": 64, "replicates": 8, "threads": 1, "seed": seed}
     return lf.Scene(
         camera=camera,  # type: ignore[arg-type]
         media=media,
         targets=targets,  # type: ignore[arg-type]
         transport=settings,  # type: ignore[arg-type]
     ).in_folder(folder)
+
+
+def disks() -> list[Tables]:
+    """Return a disk that shines at each dot."""
+    glow = {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}
+    shape = {"kind": "disk", "radius_mm": DOT_MM}
+    return [{"shape": shape, "position_mm": (*at.tolist(), -DOTS_MM), "material": glow} for at in dots()]
 
 
 def centroids(image: lf.Image) -> tuple[Array, Array]:
@@ -339,7 +341,7 @@ def centroids(image: lf.Image) -> tuple[Array, Array]:
 
 def test_dots_behind_a_plume_are_shifted_by_the_path_integral(folder: Path) -> None:
     """As in background-oriented schlieren: up to three pixels, each known to 2 % of that."""
-    still, bent = (centroids(unchecked(board(folder, seen_through_plume=seen))) for seen in (False, True))
+    still, bent = (centroids(unchecked(board(folder, disks(), size))) for size in (None, 1.0))
     # A disk has the mean of four points at its radius over √2, up to third derivatives.
     beside = DOT_MM / np.sqrt(2.0) * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     truth = np.array([np.mean([landing(at + each) for each in beside], axis=0) for at in dots()])
@@ -350,3 +352,57 @@ def test_dots_behind_a_plume_are_shifted_by_the_path_integral(folder: Path) -> N
     z = (bent[0] - still[0] - shift) / error
     assert stats.chi2.sf((z**2).sum(), z.size) > LEVEL, z
     assert np.abs(z).max() < 4.0, z
+
+
+WINDOW = 21
+"""Width of the windows of a schlieren evaluation, pixels."""
+
+LARGE_MM, LARGE = 0.02, 3.0
+"""Pitch of its pixels, and the size of its plume, over that of the dots above: its windows are then small beside it."""
+
+
+def speckles(folder: Path) -> list[Tables]:
+    """Return a plane with random dots that shines."""
+    draw = np.random.default_rng(8)
+    count, width = 700, 70.0
+    x, y = np.meshgrid(*[(np.arange(count) + 0.5) * width / count] * 2)
+    light = np.full((count, count), 0.1)
+    for at_x, at_y in draw.uniform(0.0, width, (2500, 2)):
+        i, j = (int(np.clip(c / width * count, 20, count - 20)) for c in (at_x, at_y))
+        near = slice(j - 20, j + 20), slice(i - 20, i + 20)
+        light[near] += 0.8 * np.exp(-((x[near] - at_x) ** 2 + (y[near] - at_y) ** 2) / 0.6**2)
+    Picture.fromarray((255.0 * light.clip(0.0, 1.0)).astype(np.uint8)).save(folder / "speckles.png")
+    return [
+        {"shape": {"kind": "plane", "width_mm": width, "height_mm": width}, "position_mm": (0.0, 0.0, -DOTS_MM),
+         "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0, "texture": "speckles.png"}}
+    ]  # fmt: skip
+
+
+def test_schlieren_of_a_plume_are_path_integrals(folder: Path) -> None:
+    """`lf.schlieren` of two runs, in windows that do not overlap, within the standard errors that it states."""
+    pixels = 140
+    large = {"camera.sensor.pixels": (pixels, pixels), "camera.sensor.pixel_mm": LARGE_MM}
+    targets = speckles(folder)
+    run, reference = (
+        lf.render(board(folder, targets, size, seed).changed(large)) for seed, size in enumerate((LARGE, None))
+    )
+    found = lf.schlieren(run, reference, window=WINDOW, step=WINDOW)
+    sample = LARGE_MM * DOTS_MM / SENSOR_MM
+    np.testing.assert_allclose(found.sample_mm, sample, rtol=1e-9)
+    middle = 0.5 * (pixels - 1)
+    # The mean over a square is that of four points at its width over √6.
+    beside = WINDOW * sample / np.sqrt(6.0) * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    truth = np.zeros_like(found.displacement_px)
+    for row, t in enumerate(found.t_px):
+        for column, s in enumerate(found.s_px):
+            points = sample * np.array([s - middle, middle - t]) + beside
+            shifts = [landing(at, LARGE) + SENSOR_MM / DOTS_MM * at for at in points]
+            # The lens turns pictures round.
+            truth[row, column] = -np.mean(shifts, axis=0) / LARGE_MM
+    assert np.abs(truth).max() > 0.5
+    z = (found.displacement_px - truth) / found.displacement_error_px
+    assert found.displacement_error_px.max() < 0.1 * np.abs(truth).max()
+    assert stats.chi2.sf((z**2).sum(), z.size) > LEVEL, z
+    apart = found.background_mm - found.field_mm
+    assert apart == pytest.approx(DOTS_MM - PLUME_MM, rel=1e-9)
+    np.testing.assert_allclose(found.deflection_rad * apart, -found.displacement_px * found.sample_mm, rtol=1e-9)

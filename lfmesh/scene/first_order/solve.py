@@ -36,9 +36,8 @@ def solved(scene: Scene) -> Scene:
 
     The lens file is inlined. Exactly one surface is the stop, with a semi-diameter in place of `f_number`, `epd_mm` and
     `stop_semi_diameter_mm`. The array has radii instead of focal lengths; array and sensor have distances.
-    `camera.object_medium` becomes the lens's, `camera.image_medium` the medium behind its last surface, and
-    `camera.air` the air of every glass. The solution is paraxial, at the primary wavelength. A solved scene is returned
-    unchanged.
+    `camera.object_medium` becomes the lens's, `camera.image_medium` the medium behind its last surface, and every glass
+    has `camera.air`. The solution is paraxial, at the primary wavelength. A solved scene is returned unchanged.
 
     Parameters
     ----------

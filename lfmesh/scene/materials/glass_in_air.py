@@ -5,9 +5,9 @@ from lfmesh.scene.scene import Scene
 
 
 def in_its_air(scene: Scene) -> Scene:
-    """Return a scene with `camera.air` transferred to every glass that has no `air` of its own.
+    """Return a scene with `camera.air` given to every glass that has no `air` of its own.
 
-    Plain numbers in `index` stay.
+    Plain numbers in `index` stay, and so does `camera.air`: the index of gases is relative to it.
     """
     air = scene.camera.air
     if air is None:
@@ -20,7 +20,7 @@ def in_its_air(scene: Scene) -> Scene:
     tanks = tuple(in_air(in_air(tank, air, "wall"), air, "liquid") for tank in scene.tanks)
     return scene.model_copy(
         update={
-            "camera": camera.model_copy(update={"air": None, "lens": lens, "mla": mla, "sensor": sensor}),
+            "camera": camera.model_copy(update={"lens": lens, "mla": mla, "sensor": sensor}),
             "targets": tuple(in_air(target, air, "refractor") for target in scene.targets),
             "tanks": tanks,
         }

@@ -52,6 +52,9 @@ from tests.validation.field_scenes import (
 
 Array = NDArray[np.float64]
 
+# The balls have grids at the limit, whose error is stated and is that of the tests.
+pytestmark = pytest.mark.filterwarnings("ignore::lfmesh.errors.CoarseFieldWarning")
+
 WEAK, STRONG = 2e-4, 0.1
 WIDTH = 8.0
 IMPACTS = WIDTH * np.linspace(0.15, 1.5, 10)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.first_order.conjugates import along_shifts
+from lfmesh.scene.first_order.cover import cover_shift_mm
 from lfmesh.scene.first_order.field_of_view import FieldOfView
 from lfmesh.scene.first_order.focused import focused_lenslets, middle_of, sensor_over_focal_length
 from lfmesh.scene.first_order.kick_error import KickError, kick_error
@@ -15,7 +16,7 @@ from lfmesh.scene.first_order.lenslets import lenslet_sections, lenslet_to_senso
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.relay import Relay, relay_of
 from lfmesh.scene.first_order.report import CONVENTIONAL, GALILEAN, KEPLERIAN, STANDARD, AtWavelength, FirstOrder
-from lfmesh.scene.first_order.solve import cover_shift_mm, image_plane_mm, solved
+from lfmesh.scene.first_order.solve import image_plane_mm, solved
 from lfmesh.scene.scene import Scene
 
 AIRY_RING = 1.2196698912665045

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.lenslet_optics import LensletOptics, lenslet_optics, sections
+from lfmesh.scene.first_order.cover import cover_shift_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
-from lfmesh.scene.first_order.solve import cover_shift_mm, rear_principal_mm
+from lfmesh.scene.first_order.solve import rear_principal_mm
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ import numpy as np
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.lenslet_optics import lenslet_optics
 from lfmesh.scene.camera.mla import MicrolensArray
+from lfmesh.scene.first_order.cover import cover_shift_mm
 from lfmesh.scene.first_order.paraxial import quotient
-from lfmesh.scene.first_order.solve import cover_shift_mm
 
 
 class Relay(NamedTuple):

@@ -12,6 +12,7 @@ from lfmesh.scene.camera.lenslet_optics import lenslet_optics
 from lfmesh.scene.camera.mla import MicrolensArray
 from lfmesh.scene.camera.phase_grids import refuse_small_grids, with_phase_grids
 from lfmesh.scene.files import with_lens_file
+from lfmesh.scene.first_order.cover import cover_shift_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray, gradient_gap, quotient
 from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.materials.glass_in_air import in_its_air
@@ -95,17 +96,6 @@ def apparent_thickness_mm(camera: Camera, wavelength_nm: float) -> float:
         reduced = gradient_gap(mla.gradient, wavelength_nm, mla.thickness_mm, mla.main_section == "x").matrix.b
         return reduced * camera.image_index(wavelength_nm)
     return mla.thickness_mm / camera.relative_index(mla.medium, wavelength_nm)
-
-
-def cover_shift_mm(camera: Camera, wavelength_nm: float) -> float:
-    """Return the image shift away from the lens by the sensor's cover, t (1 - 1/n); 0 without a cover.
-
-    The index n is relative to the image medium.
-    """
-    cover = camera.sensor.cover
-    if cover is None:
-        return 0.0
-    return cover.thickness_mm * (1.0 - 1.0 / camera.relative_index(cover.medium, wavelength_nm))
 
 
 def lenslet_focal_length_mm(camera: Camera, wavelength_nm: float) -> tuple[float, ...]:

@@ -12,7 +12,7 @@ from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.geometry.surfaces.bends import rim_hull
 from lfmesh.geometry.surfaces.surface import is_revolved
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.scene.first_order.solve import cover_shift_mm
+from lfmesh.scene.first_order.cover import cover_shift_mm
 from lfmesh.transport.aims.fitting import decentred
 from lfmesh.transport.aims.lenslet_view import aim_through_lenslets, apex_z, grid, no_lenslets
 from lfmesh.transport.aims.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH, anywhere

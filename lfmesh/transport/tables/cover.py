@@ -8,7 +8,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.by_address import by_address
 from lfmesh.scene import Scene
-from lfmesh.scene.first_order.solve import cover_shift_mm
+from lfmesh.scene.first_order.cover import cover_shift_mm
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import SENSOR_FRAME
 from lfmesh.transport.tables.media import MediumList

@@ -67,9 +67,9 @@ def micro_image(
     pitch, pixel = camera.mla.pitch_mm, camera.sensor.pixel_mm
     to_sensor = lenslet_to_sensor_mm(camera, wavelength_nm)
     return (
-        to_sensor / camera.image_index(wavelength_nm) / pitch,
+        abs(to_sensor) / camera.image_index(wavelength_nm) / pitch,
         pitch / pixel * (1 + to_sensor * per_pupil),
-        quotient(to_sensor, ratio) / pixel,
+        quotient(abs(to_sensor), ratio) / pixel,
     )
 
 
@@ -99,7 +99,7 @@ def lenslet_sections(
             height = lens.chief_height_mm((mla.distance_mm or math.nan) + at.front_principal_mm)
             apart = mla.pitch_mm if section == "x" else mla.row_pitch_mm
             pitch = apart / sensor.pixel_mm * (1 + quotient(inside / lens.image_index * lens.from_stop.d, height))
-            diameter = quotient(inside, ratio) / sensor.pixel_mm
-            number = inside / lens.image_index / apart
+            diameter = quotient(abs(inside), ratio) / sensor.pixel_mm
+            number = abs(inside) / lens.image_index / apart
         name = section if len(sections(mla)) > 1 else ""
         yield LensletSection(name, at.focal_length_mm, at.focus_behind_mm, number, pitch, diameter)

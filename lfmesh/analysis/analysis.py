@@ -19,6 +19,7 @@ from lfmesh.notebook import Say, Shown, announced
 from lfmesh.scene import FirstOrder, Scene, Surface
 from lfmesh.scene.distance import length_in_words
 from lfmesh.scene.first_order.compute import airy_disk_mm
+from lfmesh.scene.first_order.relay import relay_of, seen_size_mm
 from lfmesh.scene.literals import literal
 from lfmesh.transport.build import build
 from lfmesh.transport.world import World
@@ -416,9 +417,7 @@ def _disperses(surface: Surface) -> bool:
 
 def used_height_mm(scene: Scene) -> float:
     """Return half the diagonal of the image area shared by sensor and array."""
-    camera = scene.camera
-    size = camera.sensor.size_mm if camera.mla is None else np.minimum(camera.sensor.size_mm, camera.mla.size_mm)
-    return 0.5 * float(np.hypot(*size))
+    return 0.5 * float(np.hypot(*seen_size_mm(scene.camera, relay_of(scene.camera, scene.primary_nm))))
 
 
 def _spot(rays: LensRays, slope_y: float, waves: tuple[float, ...], across: int) -> Spot:

@@ -13,12 +13,14 @@ from lfmesh.scene.first_order.focused import in_focus_distance_mm
 from lfmesh.scene.first_order.meridional import beam_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.phase_lines import least_period_mm
+from lfmesh.scene.first_order.relay import relay_of
 from lfmesh.scene.first_order.solve import focus_wished_mm
 from lfmesh.scene.light.particles import shining_particles
 from lfmesh.scene.literals import percent
 from lfmesh.scene.model import format_path
 from lfmesh.scene.objects.shapes import Box, Cylinder, Disk, Plane, Sphere
 from lfmesh.scene.objects.targets import Target
+from lfmesh.scene.relay_advice import relay_warnings
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.section_advice import section_warnings
 
@@ -46,11 +48,12 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_stop_in_image(scene, facts),
         *_covering(facts),
         *section_warnings(scene, facts),
+        *relay_warnings(scene, facts),
         *(_apertures(scene, facts) if facts.working_f_number else ()),
         *_beyond_norm(scene),
         *_thin_layers(scene),
         *_micro_images(scene, facts),
-        *_coverage(scene, facts),
+        *_coverage(scene),
         *_targets(scene, facts),
         *_light(scene),
         *_rough_camera(scene),
@@ -380,18 +383,20 @@ def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
             )
 
 
-def _coverage(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
+def _coverage(scene: Scene) -> Iterator[str]:
     mla, sensor = scene.camera.mla, scene.camera.sensor
     if mla is None:
         return
+    relay = relay_of(scene.camera, scene.primary_nm)
+    beyond = 0.0 if relay is None else 2.0 * relay.reach_mm - mla.pitch_mm
     for side, lenslets, pixels in zip(("wide", "high"), mla.size_mm, sensor.size_mm, strict=True):
         # Rods beside the sensor add to the image at its border.
-        if pixels < 0.9 * lenslets and facts.relay_magnification is None:
+        if pixels < 0.9 * lenslets and relay is None:
             yield (
                 f"the sensor is {pixels:.4g} mm {side}, the array {lenslets:.4g} mm: the outer lenslets are not "
                 "recorded"
             )
-        elif lenslets < 0.9 * pixels:
+        elif lenslets + beyond < 0.9 * pixels:
             yield f"the array is {lenslets:.4g} mm {side}, the sensor {pixels:.4g} mm: outer pixels stay dark"
     for axis in (0, 1):
         shift = mla.pose.shift_mm[axis] - sensor.pose.shift_mm[axis]

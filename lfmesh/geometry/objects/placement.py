@@ -21,6 +21,7 @@ from lfmesh.geometry.meshes.mesh import Array, facet_normals
 from lfmesh.geometry.objects.targets import TargetMesh, is_met_exactly, named_target, target_mesh
 from lfmesh.scene import FirstOrder, Scene, Target
 from lfmesh.scene.advice import half_field_mm
+from lfmesh.scene.first_order.paraxial import quotient
 from lfmesh.scene.light.lights import Light
 from lfmesh.scene.quantities import SMALLEST
 
@@ -221,7 +222,8 @@ def _size(target: Target, facts: FirstOrder, size_mm: float, z_mm: float) -> Ite
         remedy = "if its numbers are in mm, give the target scale = 0.001" if size_mm > LARGE_MM else "give it a scale"
     if size_mm > LARGE_MM and size_mm > 2.0 * MOST_SEEN * max(half):
         yield (f"is {1e-3 * size_mm:.4g} m wide {what} but the camera sees {2e-3 * max(half):.3g} m there; {remedy}")
-    sample = facts.object_sampling_mm * abs(z_mm / facts.object_distance_mm) if facts.object_distance_mm else 0.0
+    # A sample grows along chief rays as the field does.
+    sample = facts.object_sampling_mm * quotient(facts.field.size_mm(z_mm)[1], facts.field_of_view_mm[1])
     if 0.0 < size_mm < sample < math.inf:
         yield f"is {size_mm:.3g} mm wide {what} less than a sample of the picture there; {remedy}"
 

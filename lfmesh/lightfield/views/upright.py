@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene
+from lfmesh.scene.first_order.relay import relay_of
 from lfmesh.scene.first_order.solve import image_plane_mm
 
 Array = NDArray[np.float64]
@@ -40,7 +41,8 @@ class Upright:
     Attributes
     ----------
     inverts : bool
-        True if the lens images the scene upside down onto array or sensor, as all but relays do.
+        True if the lens images the scene upside down onto array or sensor, as all but relays do. A single
+        gradient-index rod before the sensor counts as a part of the lens.
     """
 
     inverts: bool
@@ -54,11 +56,13 @@ class Upright:
         camera = solved_camera(scene)
         lens = camera.paraxial
         image = image_plane_mm(camera.scene.camera, camera.scene.primary_nm)
+        relay = relay_of(camera.scene.camera, camera.scene.primary_nm)
+        behind = 1.0 if relay is None else relay.magnification
         distance = lens.object_mm(image)
         if 0.0 < distance < np.inf:
-            return cls(lens.magnification(distance) < 0.0)
+            return cls(lens.magnification(distance) * behind < 0.0)
         # A rising chief ray comes from a distant object at negative height.
-        return cls(lens.chief_scale_mm(np.inf, image) < 0.0)
+        return cls(lens.chief_scale_mm(np.inf, image) * behind < 0.0)
 
     @property
     def senses(self) -> tuple[float, float]:

@@ -12,7 +12,6 @@ import math
 from typing import NamedTuple
 
 from lfmesh.scene.camera.camera import Camera
-from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.mla import MicrolensArray
 from lfmesh.scene.first_order.paraxial import Matrix, gradient_gap, quotient
 
@@ -62,7 +61,7 @@ def lenslet_optics(camera: Camera, wavelength_nm: float, kind: int = 0, section:
     assert mla is not None
     section = section or mla.main_section
     if mla.gradient is not None:
-        return _through_gradient(mla, mla.gradient, camera.image_index(wavelength_nm), wavelength_nm, (kind, section))
+        return _through_gradient(camera, wavelength_nm, kind, section)
     n = camera.relative_index(mla.medium, wavelength_nm)
     assert mla.radius_mm is not None
     main = 0.0 if mla.cylinder_axis == section else (n - 1) / mla.radius_mm[kind]
@@ -85,38 +84,44 @@ def lenslet_optics(camera: Camera, wavelength_nm: float, kind: int = 0, section:
     return LensletOptics(power, quotient(second * reduced, power), quotient(first * reduced, power))
 
 
-def _through_gradient(
-    mla: MicrolensArray, gradient: Gradient, outside: float, wavelength_nm: float, which: tuple[int, str]
-) -> LensletOptics:
-    """Return the first-order optics of a lenslet of gradient-index glass, from the matrix of its faces and gap.
+def _through_gradient(camera: Camera, wavelength_nm: float, kind: int, section: str) -> LensletOptics:
+    """Return the first-order optics of a lenslet of gradient-index glass."""
+    front, plate, back = gradient_matrices(camera, wavelength_nm, kind, section)
+    whole, outside = front.then(plate).then(back), camera.image_index(wavelength_nm)
+    power = -whole.c
+    if power == 0.0:
+        return LensletOptics(0.0, 0.0, whole.b * outside)
+    return LensletOptics(power / outside, outside * (1.0 - whole.d) / power, outside * (1.0 - whole.a) / power)
+
+
+def gradient_matrices(
+    camera: Camera, wavelength_nm: float, kind: int = 0, section: str | None = None
+) -> tuple[Matrix, Matrix, Matrix]:
+    """Return the matrices of a lenslet of gradient-index glass: the face towards the lens, the plate, the other face.
 
     Parameters
     ----------
-    mla : MicrolensArray
-        With radii.
-    gradient : Gradient
-    outside : float
-        Index of the medium around the plate.
+    camera : Camera
+        Its array has a gradient, and radii.
     wavelength_nm : float
-    which : tuple of int and str
-        Lenslet type and section.
+    kind : int
+        Lenslet type.
+    section : str, optional
+        As in `lenslet_optics`.
     """
-    kind, section = which
-    assert mla.radius_mm is not None
-    own, opposite = (0.0 if mla.cylinder_axis == section else 1.0 / mla.radius_mm[kind]), 0.0
+    mla, outside = camera.mla, camera.image_index(wavelength_nm)
+    assert mla is not None
+    assert mla.gradient is not None
+    section = section or mla.main_section
+    own, opposite = (0.0 if mla.cylinder_axis == section else 1.0 / mla.radii_mm[kind]), 0.0
     if mla.back is not None and mla.back.cylinder_axis != section:
         opposite = 1.0 / mla.back.radius_mm
     # Positive where the face bulges out of the plate.
     first, second = (own, opposite) if mla.curved_side == "lens" else (opposite, own)
-    within = gradient_gap(gradient, wavelength_nm, mla.thickness_mm, section == "x")
-    start = gradient.index_at(wavelength_nm)
-    whole = Matrix(1.0, 0.0, -(start - outside) * first, 1.0).then(within.matrix)
-    whole = whole.then(Matrix(1.0, 0.0, -(within.end_index - outside) * second, 1.0))
-    power = -whole.c
-    if power == 0.0:
-        return LensletOptics(0.0, 0.0, whole.b * outside)
-    front, rear = outside * (1.0 - whole.d) / power, outside * (1.0 - whole.a) / power
-    return LensletOptics(power / outside, front, rear)
+    within = gradient_gap(mla.gradient, wavelength_nm, mla.thickness_mm, section == "x")
+    start = mla.gradient.index_at(wavelength_nm)
+    front = Matrix(1.0, 0.0, -(start - outside) * first, 1.0)
+    return front, within.matrix, Matrix(1.0, 0.0, -(within.end_index - outside) * second, 1.0)
 
 
 def sections(mla: MicrolensArray) -> tuple[str, ...]:

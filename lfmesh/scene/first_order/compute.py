@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.camera import Camera
-from lfmesh.scene.first_order.conjugates import along_shifts
+from lfmesh.scene.first_order.conjugates import along_images, along_shifts
 from lfmesh.scene.first_order.cover import cover_shift_mm
 from lfmesh.scene.first_order.field_of_view import FieldOfView
 from lfmesh.scene.first_order.focused import focused_lenslets, middle_of, sensor_over_focal_length
@@ -69,7 +69,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     entrance_z, entrance_diameter = lens.entrance_pupil(stop_radius)
     exit_z, exit_diameter = lens.exit_pupil(stop_radius)
     relay = relay_of(camera, wavelength)
-    plane = image_plane_mm(camera, wavelength) if relay is None else relay.plane_mm
+    plane = image_plane_mm(camera, wavelength)
 
     def cone(image_mm: float) -> float:
         own = abs(lens.chief_height_mm(image_mm)) / (2.0 * stop_radius)
@@ -88,6 +88,8 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         middle = middle_of(focused)
         image, sample = plane - middle.main_image_mm, sample * abs(middle.virtual_depth)
         kind = KEPLERIAN if middle.main_image_mm > 0.0 else GALILEAN
+    if relay is not None:
+        sample /= abs(relay.magnification)
     distance = lens.object_mm(image)
     magnification = lens.magnification_onto(image)
     near, far, refocused = _refocus_range(camera, wavelength, lens, ratio, relay)
@@ -97,7 +99,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     across = (
         Paraxial.of(camera.lens, wavelength, section_x=True) if camera.lens.number_off_revolution is not None else lens
     )
-    field = FieldOfView.of(camera, (across, lens), (plane, image), stop_radius)
+    field = FieldOfView.of(camera, (across, lens), (plane, image), stop_radius, relay)
     longest = scene.reach_nm[1]
     airy = airy_disk_mm(longest, cone(image))
     # A lenslet diffracts at its clear aperture, but its micro-images are a pitch apart.
@@ -124,7 +126,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         microlens_f_number=micro[0] if micro else None,
         micro_image_pitch_px=micro[1] if micro else None,
         micro_image_diameter_px=micro[2] if micro else None,
-        object_sampling_mm=_on_object(sample, magnification * (1.0 if relay is None else relay.magnification)),
+        object_sampling_mm=_on_object(sample, magnification),
         field_of_view_mm=field.size_mm(-distance),
         field=field,
         airy_wavelength_nm=longest,
@@ -202,12 +204,17 @@ def _refocus_range(
     """Return the ends of the refocus range, and the depth of field of photographs in it, in mm.
 
     The plane of lenslets or sensor is shifted by up to `_refocus_depth_mm`. `ratio` is the exit pupil's distance over
-    its diameter. The plane that a relay images is sharp to a pixel of its own image.
+    its diameter. The plane that a relay images is sharp to a pixel of its own image: by all rods if their images join,
+    otherwise by a single one.
     """
+    plane = image_plane_mm(camera, wavelength_nm)
+    shifts = along_shifts(lens, plane)
     if relay is not None:
-        depth = camera.sensor.pixel_mm / relay.magnification * ratio
-        return *along_shifts(lens, relay.plane_mm).between_mm(-depth, depth), ()
-    shifts = along_shifts(lens, image_plane_mm(camera, wavelength_nm))
+        rods = lens.image_index * (relay.f_number if relay.joins(camera) else relay.lenslet_f_number)
+        if rods >= ratio:
+            ratio, shifts = rods, along_images(lens, plane)
+        depth = camera.sensor.pixel_mm / abs(relay.magnification) * ratio
+        return *shifts.between_mm(-depth, depth), ()
     depth = abs(_refocus_depth_mm(camera, wavelength_nm, ratio))
     near, far = shifts.between_mm(-depth, depth)
     if camera.mla is None:

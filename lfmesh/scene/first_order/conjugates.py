@@ -104,6 +104,24 @@ def along_shifts(lens: Paraxial, image_mm: float) -> Conjugates:
     )
 
 
+def along_images(lens: Paraxial, image_mm: float) -> Conjugates:
+    """Return the object distances along the distance t, in mm, of image points behind a plane.
+
+    Parameters
+    ----------
+    lens : Paraxial
+    image_mm : float
+        Distance of the plane behind the last vertex.
+    """
+    whole, index, behind = lens.whole, lens.indices[0], lens.image_index
+    return Conjugates(
+        p=-index * (whole.b + whole.d * (image_mm / behind)),
+        q=-index * whole.d / behind,
+        r=lens.magnification_onto(image_mm),
+        s=whole.c / behind,
+    )
+
+
 def along_depths(lens: Paraxial, lenslets_mm: float, to_sensor_mm: float, per_depth: float) -> Conjugates:
     """Return the object distances along the inverse virtual depth t, for image points d/t before the lenslets.
 

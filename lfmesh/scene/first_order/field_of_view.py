@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.first_order.paraxial import Paraxial
+from lfmesh.scene.first_order.relay import Relay, seen_size_mm
 
 UNBOUNDED = math.inf, math.inf
 """Size at the vertex and slope of a field, or beam, that the stop does not limit."""
@@ -35,6 +36,7 @@ class FieldOfView(NamedTuple):
         sections: tuple[Paraxial, Paraxial],
         planes_mm: tuple[float, float],
         stop_radius_mm: float,
+        relay: Relay | None = None,
     ) -> "FieldOfView":
         """Compute the field of a solved camera.
 
@@ -46,19 +48,24 @@ class FieldOfView(NamedTuple):
         planes_mm : (float, float)
             Distances behind the last vertex of the array or sensor, and of the image of the plane in focus.
         stop_radius_mm : float
+        relay : Relay, optional
+            Of the camera. If its rods limit the cone of light rather than the stop, that cone is along the axis behind
+            the lens, and so are the lines of the edges.
         """
-        sizes = camera.sensor.size_mm
-        if camera.mla is not None:
-            sizes = min(sizes[0], camera.mla.size_mm[0]), min(sizes[1], camera.mla.size_mm[1])
         plane_mm, image_mm = planes_mm
         edges = []
-        for size, lens in zip(sizes, sections, strict=True):
+        for size, lens in zip(seen_size_mm(camera, relay), sections, strict=True):
             height, before, index = lens.chief_height_mm(plane_mm), lens.to_stop, lens.indices[0]
-            edge = (-size * before.b / height, size * before.a / (height * index)) if height else UNBOUNDED
+            if relay is not None and 2.0 * stop_radius_mm * relay.f_number > abs(height):
+                edge = size * lens.whole.d, -size * lens.whole.c / index
+            else:
+                edge = (-size * before.b / height, size * before.a / (height * index)) if height else UNBOUNDED
             edges.append(edge)
         (width, width_slope), (height, height_slope) = edges
         lens = sections[1]
         diameter, cone, reduced = 2.0 * stop_radius_mm, lens.chief_height_mm(image_mm), image_mm / lens.image_index
+        if relay is not None:
+            cone = max(abs(cone), diameter * relay.f_number)
         beam = UNBOUNDED
         if cone:
             beam = (

@@ -21,10 +21,8 @@ from lfmesh.scene.camera.lenslet_optics import LensletOptics, lenslet_optics
 from lfmesh.scene.first_order.conjugates import along_depths
 from lfmesh.scene.first_order.lenslets import lenslet_to_sensor_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
+from lfmesh.scene.first_order.relay import FOCUSED_BLUR_PX
 from lfmesh.scene.first_order.solve import front_principal_mm
-
-FOCUSED_BLUR_PX = 1.0
-"""Blur of a distant pupil's image above which lenslets are taken to image the main image instead."""
 
 COVERING = {
     ("square", 1): math.sqrt(0.5),

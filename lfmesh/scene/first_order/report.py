@@ -63,10 +63,11 @@ class FirstOrder(Shown):
     "focused plenoptic, Keplerian" or "focused plenoptic, Galilean" (2.0), with lenslets that image the main image."""
     object_distance_mm: float
     """Distance of the plane in focus before the first vertex. It is imaged onto the array's apexes (standard), by the
-    lenslets of the middle focal length onto the sensor (focused), or by the lens onto the sensor (conventional)."""
+    lenslets of the middle focal length onto the sensor (focused), or by the lens onto the sensor (conventional) or the
+    plane that the lenslets relay to it."""
     image_z_mm: float
-    """z of this plane's image: the apexes as seen by the lens (standard), before or behind them (focused), or the
-    sensor (conventional)."""
+    """z of this plane's image by the lens: the apexes as seen by the lens (standard), before or behind them (focused),
+    the sensor (conventional), or the plane that the lenslets relay to the sensor."""
     lenslets_z_mm: float | None
     """z of the apexes, as seen through the plate if its flat face faces the lens."""
     magnification: float
@@ -84,7 +85,9 @@ class FirstOrder(Shown):
     """Size on the plane in focus of a lenslet (standard), of a pixel (conventional), or of a pixel through the lenslets
     (focused)."""
     field_of_view_mm: tuple[float, float]
-    """Width and height of the plane in focus that array and sensor see."""
+    """Width and height of the plane in focus that array and sensor see. Through a single relaying lenslet it is the
+    sensor's size over both magnifications; many see about the size that sensor and array share, whatever the
+    magnification of each."""
     field: FieldOfView
     """Field of view at any distance, and the angles of view for distant objects."""
     airy_wavelength_nm: float
@@ -136,8 +139,9 @@ class FirstOrder(Shown):
     focused: tuple[FocusedLenslets, ...] = ()
     """Lenslets of a focused plenoptic camera, by type."""
     relay_magnification: float | None = None
-    """Magnification at which every lenslet images the plane in focus upright onto the sensor, as gradient-index rods
-    can; None for other arrays. The camera then counts as conventional, with the lenslets as a part of its lens."""
+    """Magnification at which every lenslet images the plane at `image_z_mm` upright onto the sensor, as gradient-index
+    rods can, or a single rod either way; None for other arrays. The camera then counts as conventional, with the
+    lenslets as a part of its lens. The images of several lenslets join only at a magnification of 1."""
     lenslet_sections: tuple[LensletSection, ...] = ()
     """Lenslets by section, if they are cylinders, have two faces, a phase or a gradient; otherwise empty. The lenslet
     figures above are for the section with the power of the curved face."""
@@ -182,7 +186,13 @@ class FirstOrder(Shown):
             way = "away from" if self.cover_shift_mm >= 0.0 else "towards"
             rows.append(("sensor's cover", f"moves the image {_um(abs(self.cover_shift_mm))} {way} the lens"))
         if self.relay_magnification is not None:
-            words = f"image the plane in focus upright onto the sensor, {self.relay_magnification:.6g} times as large"
+            whole, way = self.magnification * self.relay_magnification, "upright"
+            if self.relay_magnification < 0.0:
+                way = "inverted"
+            words = (
+                f"relay the image plane {way} to the sensor, magnification {self.relay_magnification:.6g}; "
+                f"{whole:.6g} from the plane in focus"
+            )
             rows += [("lenslets", words), *map(_section_row, self.lenslet_sections)]
         if mla:
             rows += [

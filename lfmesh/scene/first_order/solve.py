@@ -14,6 +14,7 @@ from lfmesh.scene.camera.phase_grids import refuse_small_grids, with_phase_grids
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.first_order.cover import cover_shift_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray, gradient_gap, quotient
+from lfmesh.scene.first_order.relay import relay_of, seen_size_mm
 from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.materials.glass_in_air import in_its_air
 from lfmesh.scene.model import Model
@@ -131,13 +132,19 @@ def rear_principal_mm(camera: Camera, wavelength_nm: float) -> float:
 
 
 def image_plane_mm(camera: Camera, wavelength_nm: float) -> float:
-    """Return the distance from the last vertex to the plane that the lens focuses on, in mm of the image medium.
-
-    With an array, it is the plane of the lenslets' front principal points.
-    """
+    """Return the distance from the last vertex to the plane that the lens focuses on, in mm of the image medium."""
     if camera.mla is None:
         return (camera.sensor.distance_mm or math.nan) - cover_shift_mm(camera, wavelength_nm)
-    return (camera.mla.distance_mm or math.nan) + front_principal_mm(camera, wavelength_nm)
+    return (camera.mla.distance_mm or math.nan) + _plane_in_array_mm(camera, wavelength_nm)
+
+
+def _plane_in_array_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the distance from the array's face towards the lens to the plane that the lens focuses on.
+
+    It is the plane of the lenslets' front principal points, or the plane before them that they relay to the sensor.
+    """
+    relay = relay_of(camera, wavelength_nm)
+    return front_principal_mm(camera, wavelength_nm) if relay is None else -relay.before_mm
 
 
 def _array_of(camera: Camera) -> MicrolensArray:
@@ -161,7 +168,7 @@ def _with_distances(camera: Camera, wavelength_nm: float) -> Camera:
         return _changed(camera, sensor=sensor)
     if mla.distance_mm is None:
         distance = _focused_image_mm(camera, "camera.mla.distance_mm", wavelength_nm)
-        distance -= front_principal_mm(camera, wavelength_nm)
+        distance -= _plane_in_array_mm(camera, wavelength_nm)
         if not math.isfinite(distance):
             raise SceneError(
                 "camera.mla.distance_mm: missing, and cannot be solved because the lenslets are afocal, with "
@@ -244,7 +251,7 @@ def _behind_image_mm(camera: Camera, wavelength_nm: float) -> float:
     behind = camera.sensor.distance_mm
     if behind is None:
         behind = _focal_plane_mm(camera, wavelength_nm) + shift
-    return mla.thickness_mm - front_principal_mm(camera, wavelength_nm) + behind
+    return mla.thickness_mm - _plane_in_array_mm(camera, wavelength_nm) + behind
 
 
 def focus_wished_mm(camera: Camera, wavelength_nm: float) -> float | None:
@@ -361,9 +368,7 @@ def _beam_mm(camera: Camera, wavelength_nm: float, object_mm: float, image: floa
     radius = lens.surfaces[paraxial.stop].semi_diameter_mm or math.nan
     marginal = paraxial.rays_behind(paraxial.marginal_ray(object_mm, radius))
     behind, reduced = paraxial.from_stop(Ray(0.0, 1.0)), image / paraxial.image_index
-    width, height = camera.sensor.size_mm
-    if camera.mla is not None:
-        width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
+    width, height = seen_size_mm(camera, relay_of(camera, wavelength_nm))
     slope = quotient(0.5 * math.hypot(width, height), abs(behind.height_mm + reduced * behind.angle))
     chief = paraxial.rays_behind(Ray(-slope * paraxial.to_stop.b, slope * paraxial.to_stop.a))
     beam = [abs(edge.height_mm) + abs(axis.height_mm) for edge, axis in zip(marginal, chief, strict=True)]

@@ -13,11 +13,11 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.gradient_path import NEAR, GradientRay, advance, corrector, drift, kicker
 from lfmesh.optics.gradients import field_at
 
-TURNED = -1
-"""In place of the number of a wall: the ray turns back before any."""
+NO_WALL = -1
+"""In place of the number of a wall: the ray stays in the glass."""
 
 MOST_LENGTHS = 8
-"""Steps of a march, over the usual number, after which a ray counts as turned back."""
+"""Steps of a march, over the usual number, after which a ray counts as staying in the glass."""
 
 APPROACHES, CLOSE = 6, 0.5
 """Trials of the closest approach to a wall within a step, by regula falsi. They are left out if the parabola through
@@ -132,9 +132,9 @@ def wall_finder(count: int, clearance_at: Any) -> Any:
     def find_wall(
         field: Any, number: int, ray: GradientRay, walls: Any, step: float, count_of_steps: int
     ) -> tuple[int, GradientRay, float]:
-        """Return the first wall that a ray crosses, or `TURNED`; the ray there; and its length in σ, mm.
+        """Return the first wall that a ray crosses, or `NO_WALL`; the ray there; and its length in σ, mm.
 
-        A ray turns back if it reverses its direction along z before it crosses a wall.
+        A ray that turns back may cross the wall that it comes from.
 
         Parameters
         ----------
@@ -156,19 +156,17 @@ def wall_finder(count: int, clearance_at: Any) -> Any:
         before, most = ray, MOST_LENGTHS * count_of_steps
         for taken in range(most):
             after = advance(field, number, before, step, 1)
-            first, at = TURNED, 1.0
+            first, at = NO_WALL, 1.0
             for wall in range(count):
                 crosses, place = crossing(field, number, walls, wall, before, after, step)
-                if crosses and (first == TURNED or place < at):
+                if crosses and (first == NO_WALL or place < at):
                     first, at = wall, place
-            if first != TURNED:
-                there = advance(field, number, before, at * step, 1)
-                turned = there.tz * ray.tz < 0.0
-                return TURNED if turned else first, there, (taken + at) * step
-            if after.tz * ray.tz < 0.0 or not abs(after.x + after.y + after.z) < np.inf:
-                return TURNED, before, taken * step
+            if first != NO_WALL:
+                return first, advance(field, number, before, at * step, 1), (taken + at) * step
+            if not abs(after.x + after.y + after.z) < np.inf:
+                return NO_WALL, before, taken * step
             before = after
-        return TURNED, before, most * step
+        return NO_WALL, before, most * step
 
     return find_wall
 

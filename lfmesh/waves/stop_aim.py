@@ -18,7 +18,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.optics.ray_aiming import ContinuedRays, aim_rays, continue_rays
-from lfmesh.transport.packets.book import STOP
+from lfmesh.transport.packets.book import STOP, TRAPPED, TURNED_BACK
 from lfmesh.transport.sequences.bundle import DROPPED
 from lfmesh.transport.sequences.follower import route_of
 from lfmesh.transport.sequences.ray_tables import Arrived, follow_to, without_apertures
@@ -57,6 +57,9 @@ NEAR_EDGE = 1e-3
 
 NEAR_FOLD = 1e-2
 """Distance from the end of a continuation, over the front's radius, within which a caustic is sought."""
+
+TURNED = (TURNED_BACK + 1.0, TRAPPED + 1.0)
+"""Codes of rays that end in gradient-index glass without an edge, see `bundle.ENDED_ON`."""
 
 TRIALS = 33
 """Trial rays along each axis of the front, if no ray can be continued from the axis."""
@@ -200,7 +203,8 @@ class StopAim:
         Returns
         -------
         (n, 2) float64, mm
-            NaN for rays that miss a surface before the stop, or are totally reflected there.
+            NaN for rays that miss a surface before the stop, are totally reflected there, or turn back in
+            gradient-index glass.
         """
         if self._faces_to_stop == 0:
             # The stop stands before the lens.
@@ -450,9 +454,22 @@ class StopAim:
             Of `Arrived`, for rays that do not pass.
         """
         reflected = ended == DROPPED
-        turned = gradient_spaces(self.world.tables.lens)[met] & ~reflected & (ended != 0.0)
+        turned = gradient_spaces(self.world.tables.lens)[met] & np.isin(ended, TURNED)
         edge = np.select([reflected, turned], [Edge.REFLECTED, Edge.TURNED], Edge.MISSED)
         return edge, (reflected | turned).astype(np.int64)
+
+    def lost(self, arrived: Arrived) -> Ends:
+        """Return the ends of rays that do not pass the whole lens though apertures are ignored.
+
+        Parameters
+        ----------
+        arrived : Arrived
+            See `unstopped`.
+        """
+        numbers = np.asarray(self.world.lens_shape.numbers)
+        edge, on_last = self._lost_at(arrived.ended, arrived.met)
+        ends = Ends(edge, numbers[np.minimum(arrived.met - on_last, len(numbers) - 1)])
+        return ends.with_diffraction(self.world.scene.camera.lens)
 
     def stopped(self, slope: Array, entry: Array, arrived: Arrived, wavelength_nm: float) -> Ends:
         """Return the ends of rays traced through the whole lens with its apertures.
@@ -476,8 +493,9 @@ class StopAim:
             reflected = dropped & (free.ended == DROPPED) & (free.met == met[ended])
             inside = gradient_spaces(lens)[met[ended]] & ~dropped
             at_edge = inside & (code == lens.ring_slot[met[ended]] + 1.0)
+            turned = inside & np.isin(code, TURNED)
             edge[ended] = np.select(
-                [code == STOP + 1.0, reflected, dropped, inside & missed, at_edge, missed],
+                [code == STOP + 1.0, reflected, dropped, turned, at_edge, missed],
                 [Edge.STOP, Edge.REFLECTED, Edge.OTHER_SIDE, Edge.TURNED, Edge.GLASS_EDGE, Edge.MISSED],
                 Edge.APERTURE,
             )

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 import lfmesh as lf
 from lfmesh.geometry.ray import Ray
@@ -88,6 +89,46 @@ def rod_ray(place: Array, vector: Array, length: float) -> RodRay:
     )
     path = INDEX**2 * (sigma - ALPHA**2 * float(squares.sum()))
     return RodRay(place * c + a * s, np.append(w * (a * c - place * s), vector[2]), path)
+
+
+class LinearRay(NamedTuple):
+    """A ray in a linear index at the end, by closed form: point, optical ray vector, length, optical path."""
+
+    point: Array
+    vector: Array
+    length: float
+    path: float
+
+
+def back_in_linear_index(point: Array, vector: Array, slope: Array) -> LinearRay:
+    """Return a ray of the index n = n₀ + **g** · **r** where it has turned and is back at the z of its start.
+
+    With dσ = ds/n the index along a ray is n cosh(g σ) + (**g** · **T**) sinh(g σ) / g, and **T** changes along **g**
+    alone: the ray is a catenary.
+
+    Parameters
+    ----------
+    point : (3,) float64, mm
+    vector : (3,) float64
+        Optical ray vector, towards +z: its length is the index at the point.
+    slope : (3,) float64, mm⁻¹
+        **g**, with a component towards −z.
+    """
+    n, g = float(np.linalg.norm(vector)), float(np.linalg.norm(slope))
+    along, rate = slope / g, float(vector @ slope) / g
+
+    def moved(sigma: float) -> Array:
+        whole = n * (np.cosh(g * sigma) - 1.0) + rate * np.sinh(g * sigma)
+        return np.asarray((vector - rate * along) * sigma + along * whole / g)
+
+    # dT/dσ is n g, so z rises and falls once.
+    late = 1e-3
+    while moved(late)[2] > 0.0:
+        late *= 2.0
+    end = brentq(lambda sigma: moved(sigma)[2], 0.5 * late, late, xtol=1e-15, rtol=1e-14)
+    index, change = n * np.cosh(g * end) + rate * np.sinh(g * end), n * np.sinh(g * end) + rate * np.cosh(g * end)
+    path = 0.5 * end * (n * n - rate * rate) + 0.5 * (index * change - n * rate) / g
+    return LinearRay(point + moved(end), vector + along * (change - rate), (change - rate) / g, path)
 
 
 def index_in_rod(place: Array) -> float:

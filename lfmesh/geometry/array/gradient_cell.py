@@ -166,7 +166,7 @@ def _onto_side(gradients: Gradients, number: int, cell: Cell, wall: int, ray: Gr
 def follow_in_cell(
     gradients: Gradients, number: int, cell: Cell, ray: GradientRay, step: float, steps: int
 ) -> tuple[int, GradientRay]:
-    """Return the first wall that a ray meets, or `gradient_walls.TURNED`, and the ray there.
+    """Return the first wall that a ray meets, or `gradient_walls.NO_WALL`, and the ray there.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN, form_at
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.gradient_path import GradientRay
-from lfmesh.optics.gradient_walls import TURNED, lander, wall_finder
+from lfmesh.optics.gradient_walls import NO_WALL, lander, wall_finder
 from lfmesh.optics.gradients import Gradients
 
 Array = NDArray[np.float64]
@@ -97,7 +97,7 @@ _land = lander(_height_at)
 def follow_in_gap(
     gradients: Gradients, number: int, gap: Gap, ray: GradientRay, step: float, steps: int
 ) -> tuple[int, GradientRay, float]:
-    """Return the first wall that a ray meets, or `TURNED`; the ray there; and its length in σ, mm.
+    """Return the first wall that a ray meets, or `NO_WALL`; the ray there; and its length in σ, mm.
 
     Rays that meet a face beyond its rim meet the edge.
 
@@ -114,8 +114,12 @@ def follow_in_gap(
     steps : int
         Number of equal steps to a face; more for rays that need longer ones than `step`.
     """
-    wall, end, length = _find_wall(gradients, number, ray, gap, step, steps)
-    if wall in (TURNED, EDGE):
+    wide, usual = max(gap.front_rim, gap.back_rim), steps
+    if wide < np.inf:
+        # A ray that turns back may run across the whole glass; its length in σ is that over an index above 1.
+        usual = max(steps, int(np.ceil(2.0 * wide / step)))
+    wall, end, length = _find_wall(gradients, number, ray, gap, step, usual)
+    if wall in (NO_WALL, EDGE):
         return wall, end, length
     rim = gap.front_rim if wall == FRONT else gap.back_rim
     if not end.x * end.x + end.y * end.y <= rim * rim:

@@ -15,13 +15,14 @@ from lfmesh.geometry.lens.gradient_gap import EDGE, Gap, follow_in_gap
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.gradient_path import GradientRay
-from lfmesh.optics.gradient_walls import TURNED as TURNED_BEFORE_WALLS
+from lfmesh.optics.gradient_walls import NO_WALL
 from lfmesh.optics.gradients import field_at
 from lfmesh.transport.tables.gradient_spaces import GradientSpaces
 from lfmesh.transport.tables.tables import LensTables
 
-REACHED, AT_EDGE, TURNED, ON_OTHER_FACE = range(4)
-"""Fates of rays in a gap: on the face aimed at, on the edge, turned back along the axis, or first on the other face."""
+REACHED, AT_EDGE, ON_OTHER_FACE, TRAPPED_INSIDE = range(4)
+"""Fates of rays in a gap: on the face aimed at; on the edge; on the other face, as after turning back along the axis;
+on no wall after a long way."""
 
 
 class GapEnd(NamedTuple):
@@ -120,7 +121,7 @@ def cross_gap(lens: LensTables, space: int, colour: int, k: int, ray: Ray) -> Ga
 def _crossed(gradients: Any, surfaces: NDArray[np.void], space: int, colour: int, k: int, ray: Ray) -> GapEnd:
     """Follow a ray as `cross_gap` does; `gradients` : GradientSpaces or None."""
     if gradients is None:
-        return GapEnd(TURNED, ray.x, ray.y, ray.z, ray.dx, ray.dy, ray.dz, 0.0, 0.0)
+        return GapEnd(TRAPPED_INSIDE, ray.x, ray.y, ray.z, ray.dx, ray.dy, ray.dz, 0.0, 0.0)
     number = gradients.number[space] + colour
     start = ray_in_gap(gradients, space, number, ray)
     wall, end, _ = follow_in_gap(
@@ -130,8 +131,8 @@ def _crossed(gradients: Any, surfaces: NDArray[np.void], space: int, colour: int
     fate = REACHED if space - 1 + wall == k else ON_OTHER_FACE
     if wall == EDGE:
         fate = AT_EDGE
-    elif wall == TURNED_BEFORE_WALLS:
-        fate = TURNED
+    elif wall == NO_WALL:
+        fate = TRAPPED_INSIDE
     over = 1.0 / np.sqrt(end.tx * end.tx + end.ty * end.ty + end.tz * end.tz)
     dx, dy, dz = direction_through(gradients.pose[space], over * end.tx, over * end.ty, over * end.tz)
     x, y, z = point_through(gradients.pose[space], end.x, end.y, end.z)

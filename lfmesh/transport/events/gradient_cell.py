@@ -15,7 +15,7 @@ from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.gradient_path import GradientRay
 from lfmesh.optics.gradients import field_at
-from lfmesh.transport.packets.book import MLA_EDGE, MLA_WALL, TURNED_BACK
+from lfmesh.transport.packets.book import MLA_EDGE, MLA_WALL, TRAPPED, TURNED_BACK
 from lfmesh.transport.tables.tables import CellGradients, MlaTables
 
 REACHED = -1
@@ -23,7 +23,7 @@ REACHED = -1
 
 
 MOST_CELLS = 4_096
-"""Cells that a ray may cross between clear walls, before it counts as turned back."""
+"""Cells that a ray may cross between clear walls, before it counts as trapped."""
 
 
 class CellEnd(NamedTuple):
@@ -104,7 +104,7 @@ def cross_cells(gradient: CellGradients, mla: MlaTables, colour: int, column: in
     n = np.sqrt(field_at(fields, colour, x, y, z)[0])
     own = GradientRay(x, y, z, n * ray.dx, n * ray.dy, n * flip * ray.dz, 0.0, 0.0)
     longest, steps = gradient.longest[colour], gradient.steps[colour]
-    slot = TURNED_BACK
+    slot = TRAPPED
     for _ in range(MOST_CELLS):
         # The lenslets of the two faces may have different types.
         if mla.curved_to_lens:
@@ -113,8 +113,8 @@ def cross_cells(gradient: CellGradients, mla: MlaTables, colour: int, column: in
         else:
             behind = cell_at(gradient.opposite, mla.lenslets, column, row, axis)
             wall, own = follow_in_cell(fields, colour, behind, own, longest, steps)
-        if wall == (FRONT if mla.curved_to_lens else BACK):
-            slot = REACHED
+        if wall >= FRONT:
+            slot = REACHED if wall == (FRONT if mla.curved_to_lens else BACK) else TURNED_BACK
         if wall < 0 or wall >= FRONT:
             break
         next_column, next_row = neighbour(lattice, column, row, wall)

@@ -77,6 +77,7 @@ MLA_MASK = _slot("mla mask")
 LENS_FRONT = _slot("lens front")
 EVANESCENT = _slot("diffracted beyond a right angle")
 TURNED_BACK = _slot("turned back in gradient-index glass")
+TRAPPED = _slot("trapped in gradient-index glass")
 
 FIXED = tuple(_fixed)
 """The slots that every scene has."""

@@ -13,9 +13,9 @@ from lfmesh.geometry.ray import ray_of
 from lfmesh.geometry.surfaces.surface import normal_at
 from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.events.crossing import end
-from lfmesh.transport.events.gradient import AT_EDGE, ON_OTHER_FACE, TURNED, cross_gap, index_at
+from lfmesh.transport.events.gradient import AT_EDGE, ON_OTHER_FACE, TRAPPED_INSIDE, cross_gap, index_at
 from lfmesh.transport.events.travel import travel
-from lfmesh.transport.packets.book import TURNED_BACK
+from lfmesh.transport.packets.book import TRAPPED
 from lfmesh.transport.packets.packet import CAMERA_FRAME, NO_SURFACE, S_ABSORBED, Flow, Options
 from lfmesh.transport.regions.lens_block import N_I, N_T, NUMBER, NX, NY, NZ, PX, PY, PZ, SIZE, set_ray
 from lfmesh.transport.regions.lens_exits import is_cut
@@ -30,7 +30,8 @@ def decide_in_gap(
 ) -> int:  # fmt: skip
     """Enter the straight ray that ends as a packet's curve, and its hit, in the block; return the surface.
 
-    `NO_SURFACE`: the packet has ended on the edge or a mount, or turned back.
+    A packet that turns back meets the surface that it comes from. `NO_SURFACE`: it has ended on the edge or a mount, or
+    is trapped.
 
     Parameters
     ----------
@@ -53,8 +54,8 @@ def decide_in_gap(
     found = cross_gap(lens, space, packet.colour, k, ray_of(packet))
     packet.x, packet.y, packet.z = found.x, found.y, found.z
     packet.dx, packet.dy, packet.dz = found.dx, found.dy, found.dz
-    if found.fate in (AT_EDGE, TURNED):
-        slot = lens.ring_slot[space] if found.fate == AT_EDGE else TURNED_BACK
+    if found.fate in (AT_EDGE, TRAPPED_INSIDE):
+        slot = lens.ring_slot[space] if found.fate == AT_EDGE else TRAPPED
         x, y, z = travel(flow, lens.media, packet, lens.medium[space], found.distance)
         end(
             options, flow, frames, packet, CAMERA_FRAME, x, y, z, packet.dx, packet.dy, packet.dz, packet.weight, slot,

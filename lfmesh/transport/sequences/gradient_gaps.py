@@ -18,13 +18,13 @@ from lfmesh.transport.events.gradient import (
     AT_EDGE,
     ON_OTHER_FACE,
     REACHED,
-    TURNED,
+    TRAPPED_INSIDE,
     cross_gap,
     gap_of,
     index_at,
     ray_in_gap,
 )
-from lfmesh.transport.packets.book import TURNED_BACK
+from lfmesh.transport.packets.book import TRAPPED, TURNED_BACK
 from lfmesh.transport.sequences.bundle import (
     AT_X,
     AT_Y,
@@ -90,10 +90,10 @@ def _follow_gap(gradients: Any, bundle: Array, lens: LensTables, space: int, k: 
         bundle[T + i], bundle[FATE + i] = end.distance, 0.0
         if end.fate == AT_EDGE:
             bundle[FATE + i] = lens.ring_slot[space] + 1.0
-        elif end.fate == TURNED:
-            bundle[FATE + i] = TURNED_BACK + 1.0
         elif end.fate == ON_OTHER_FACE:
-            bundle[FATE + i] = DROPPED
+            bundle[FATE + i] = TURNED_BACK + 1.0
+        elif end.fate == TRAPPED_INSIDE:
+            bundle[FATE + i] = TRAPPED + 1.0
 
 
 @inlined

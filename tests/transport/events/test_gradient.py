@@ -1,6 +1,6 @@
 """A ray crosses gradient-index glass along its curve: its end, its fate, its absorption and its reflections."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from lfmesh.errors import SceneError
 from lfmesh.transport import trace as tracing
 from lfmesh.transport.checks.order_check import compare
 from lfmesh.transport.choice import engine_of
-from lfmesh.transport.events.gradient import AT_EDGE, ON_OTHER_FACE, REACHED, TURNED, index_at
+from lfmesh.transport.events.gradient import AT_EDGE, ON_OTHER_FACE, REACHED, index_at
 from lfmesh.transport.packets.packet import BY_ORDER_OR_MESH, CAMERA_FRAME, PACKET
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.tables.gradient_spaces import fills_space
@@ -21,6 +21,8 @@ from tests.transport.gradient_lenses import (
     INDEX,
     NM,
     ROD,
+    LinearRay,
+    back_in_linear_index,
     built,
     camera,
     crossed,
@@ -143,20 +145,138 @@ def test_a_second_crossing_of_the_face_just_left_is_found_on_the_curve() -> None
     np.testing.assert_allclose(home, start, atol=1e-12)
 
 
-TURNING = rod(8.0, 30.0, {"kind": "axial", "index": 1.8, "coefficients": [-0.06]})
-"""n falls from 1.8 to 1.32: light of a momentum above that across the axis turns back."""
+TURNING: dict[str, tuple[dict[str, Any], list[float]]] = {
+    "axial": ({"kind": "axial", "index": 1.8, "coefficients": [-0.2]}, [0.0, 0.0, -0.2]),
+    "xyz": (
+        {"kind": "xyz", "index": 1.8, "x_coefficients": [0.015], "y_coefficients": [-0.01], "z_coefficients": [-0.2]},
+        [0.015, -0.01, -0.2],
+    ),
+}
+"""Gradients with a linear index, and its slopes. In `turning`, n falls from 1.8 to 1.32 at the rear face, so that light
+of a larger momentum across the axis turns back."""
+
+OUTSIDE = 1.75
 
 
-@pytest.mark.parametrize("engine", ["mesh", "sequential"])
-def test_a_ray_that_turns_back_has_its_own_line_in_the_ledger(engine: str) -> None:
-    world = built(TURNING, object_medium={"index": 1.75}, distance_mm=20.0)
-    turns, goes = (np.array([p, 0.0, np.sqrt(1.75**2 - p * p)]) / 1.75 for p in (1.5, 0.5))
-    end = crossed(world.tables.lens, 1, 1, np.zeros(3), np.array([1.5, 0.0, np.sqrt(1.8**2 - 1.5**2)]) / 1.8)
-    assert end.fate == TURNED
-    paths = lf.trace(world, [[0.0, 0.0, -1.0]] * 2, [turns, goes], split="transmit", engine=engine)
-    first = passed(1.75, 1.8, 1.5)
-    assert paths.ledger.absorbed["turned back in gradient-index glass"] == pytest.approx(first, rel=1e-12)
+def turning(kind: str, **others: Any) -> lf.World:
+    """Return the world of a plate behind a liquid, in which steep light turns back."""
+    given = {"object_medium": {"index": OUTSIDE}, "distance_mm": 20.0} | others
+    return built(rod(2.4, 30.0, TURNING[kind][0]), **given)
+
+
+class Turning(NamedTuple):
+    """A ray that turns: its direction in the liquid, point on the front face, ray vector there, and its end."""
+
+    way: Array
+    point: Array
+    vector: Array
+    end: LinearRay
+
+    @property
+    def weight(self) -> float:
+        """Power that leaves the glass, with Fresnel's losses at both passages of the front face."""
+        first, second = (float(np.hypot(*vector[:2])) for vector in (self.vector, self.end.vector))
+        n_in, n_out = (float(np.linalg.norm(vector)) for vector in (self.vector, self.end.vector))
+        return passed(OUTSIDE, n_in, first) * passed(n_out, OUTSIDE, second)
+
+
+def turning_rays(kind: str, count: int) -> list[Turning]:
+    """Return rays of `turning` that turn, and come back to its front face by closed form."""
+    gradient, slope = TURNING[kind]
+    draw, found = np.random.default_rng(8), []
+    for _ in range(count):
+        turn, momentum = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(1.45, 1.6)
+        across = momentum * np.array([np.cos(turn), np.sin(turn)])
+        point = np.append(draw.uniform(-3.0, 3.0, 2), 0.0)
+        n = gradient["index"] + float(point @ slope)
+        way = np.append(across, np.sqrt(OUTSIDE**2 - momentum**2)) / OUTSIDE
+        vector = np.append(across, np.sqrt(n * n - momentum**2))
+        found.append(Turning(way, point, vector, back_in_linear_index(point, vector, np.array(slope))))
+    return found
+
+
+@pytest.mark.parametrize("kind", TURNING)
+def test_a_ray_that_turns_back_ends_on_the_face_where_it_entered(kind: str) -> None:
+    """By the closed form: place, direction, length, optical path. Sent back, it returns to its start, to rounding."""
+    lens = turning(kind).tables.lens
+    for ray in turning_rays(kind, 40):
+        way = ray.vector / np.linalg.norm(ray.vector)
+        end = crossed(lens, 1, 1, ray.point, way)
+        assert end.fate == ON_OTHER_FACE
+        place, out = point_of(end)
+        np.testing.assert_allclose(place, ray.end.point, atol=2e-9)
+        np.testing.assert_allclose(out, ray.end.vector / np.linalg.norm(ray.end.vector), atol=2e-9)
+        assert end.distance == pytest.approx(ray.end.length, abs=2e-9)
+        assert end.path == pytest.approx(ray.end.path, abs=2e-9)
+        home, back = point_of(crossed(lens, 1, 1, place, -out))
+        np.testing.assert_allclose(home, ray.point, atol=1e-12)
+        np.testing.assert_allclose(back, -way, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", TURNING)
+def test_a_packet_that_turns_back_leaves_the_lens_by_the_face_where_it_entered(kind: str) -> None:
+    """With the power, and in the direction, that the closed form and Fresnel's equations give."""
+    rays = turning_rays(kind, 40)
+    starts = np.array([ray.point - ray.way for ray in rays])
+    paths = lf.trace(turning(kind), starts, [ray.way for ray in rays], split="transmit", record=True)
+    assert set(paths.status) == {lf.Status.ESCAPED}
+    assert paths.ledger.escaped == pytest.approx(sum(ray.weight for ray in rays), rel=1e-8)
     assert abs(paths.ledger.imbalance) < CLOSED
+    for row, source in enumerate(paths.source):
+        ray, met = rays[source], [v for v in paths.vertices(row) if v.surface == "lens surface 0"]
+        assert [v.event for v in met] == [lf.Event.TRANSMITTED] * 2
+        np.testing.assert_allclose([v.position for v in met], [ray.point, ray.end.point], atol=2e-9)
+        across = ray.end.vector[:2] / OUTSIDE
+        np.testing.assert_allclose(paths.direction[row], [*across, -np.sqrt(1.0 - across @ across)], atol=3e-9)
+        assert paths.weight[row] == pytest.approx(ray.weight, rel=1e-8)
+
+
+def test_blocks_have_a_line_in_the_ledger_for_rays_that_turn_back() -> None:
+    """They follow the image path alone. A ray of less momentum passes."""
+    ray, goes = turning_rays("axial", 1)[0], unit(0.3, 0.0, 1.0)
+    starts = [ray.point - ray.way, -goes]
+    paths = lf.trace(turning("axial"), starts, [ray.way, goes], split="transmit", engine="sequential")
+    first = passed(OUTSIDE, 1.8, float(np.hypot(*ray.vector[:2])))
+    assert paths.ledger.absorbed["turned back in gradient-index glass"] == pytest.approx(first, rel=1e-12)
+    assert paths.ledger.sensor > 0.5
+    assert abs(paths.ledger.imbalance) < CLOSED
+
+
+@pytest.mark.parametrize("split", ["both", "roulette"])
+def test_energy_closes_where_light_turns_back_again_and_again(split: str) -> None:
+    """Half of it is reflected at the front face, and turns again, until it meets the edge."""
+    surfaces = rod(2.4, 30.0, TURNING["xyz"][0])
+    surfaces[0]["coating"] = "half"
+    world = built(surfaces, object_medium={"index": OUTSIDE}, coatings={"half": {"reflectance": 0.5}})
+    rays = turning_rays("xyz", 100)
+    starts = np.array([ray.point - ray.way for ray in rays])
+    paths = lf.trace(world, starts, [ray.way for ray in rays], split=split, weight_cutoff=1e-3)
+    assert abs(paths.ledger.imbalance) < CLOSED
+    assert sum(paths.ledger.lost.values()) == 0.0
+    assert paths.ledger.escaped > 70.0
+    assert paths.ledger.absorbed["lens[0] edge"] > 1.0
+    assert not [name for name in paths.ledger.absorbed if "gradient-index glass" in name]
+
+
+def test_light_that_runs_along_a_wide_plate_reaches_its_edge() -> None:
+    """The index is largest half way between the faces, and holds light between them for 25 times the thickness."""
+    guide = {"kind": "axial", "index": 1.5, "coefficients": [0.4, -0.1]}
+    lens = built(rod(4.0, 100.0, guide)).tables.lens
+    n, angle = 1.9, 0.4
+    end = crossed(lens, 1, 1, np.array([0.0, 0.0, 2.0]), np.array([np.cos(angle), 0.0, np.sin(angle)]))
+    assert n * np.cos(angle) > 1.5
+    assert end.fate == AT_EDGE
+    point, _ = point_of(end)
+    assert point[0] == pytest.approx(lens.gradients.edge[1, 1], rel=1e-9)
+    assert 0.0 < point[2] < 4.0
+
+
+def test_light_on_a_circle_in_the_glass_is_trapped() -> None:
+    """About the largest index, 2.4 − 0.128 ρ², a ray at the ρ where n ρ is largest runs in a circle."""
+    well = {"kind": "xyz", "index": 1.248, "x_coefficients": [0.0, -0.128], "y_coefficients": [0.0, -0.128],
+            "z_coefficients": [0.768, -0.128]}  # fmt: skip
+    paths = lf.trace(built(rod(6.0, 2.8, well)), [[2.5, 0.0, 3.0]], [[0.0, 0.0, 1.0]])
+    assert paths.ledger.absorbed == {"trapped in gradient-index glass": 1.0}
 
 
 def test_a_packet_beyond_the_critical_angle_stays_in_the_rod() -> None:

@@ -13,18 +13,19 @@ decide the class, in this order:
    lamp by a straight line in air. A medium that bends light counts as smooth glass, from the first chord on that it
    bends: light of a lamp inside such a medium belongs to the class too.
 3. Does the path leave the image path, as the sequential engine follows it, between the sensor and that end? The class
-   is then `OFF_IMAGE_PATH`; otherwise the path is on the image path. Three events leave the image path: a reflection in
+   is then `OFF_IMAGE_PATH`; otherwise the path is on the image path. Four events leave the image path: a reflection in
    the lens or array; a reflection at glass in object space that could have refracted (total reflection there continues
-   the image path); and a second hit in succession on the same curved side of the array. Their place on the path does
-   not matter. Scattering at targets and rough glass before or after changes nothing. The mesh engine, which estimates
-   `EVERY` path at once, traces rough surfaces of the lens and array. A diffraction order of a phase counts as the
-   refraction, or the reflection, on its side.
+   the image path); a second hit in succession on the same curved side of the array; and a second hit in succession on
+   the same lens surface from within gradient-index glass, in which the path has turned back. Their place on the path
+   does not matter. Scattering at targets and rough glass before or after changes nothing. The mesh engine, which
+   estimates `EVERY` path at once, traces rough surfaces of the lens and array. A diffraction order of a phase counts as
+   the refraction, or the reflection, on its side.
 
 If ghosts have their own estimator, `OFF_IMAGE_PATH` is divided into `GHOSTS` and `OTHER_STRAYS`. Seen from the sensor,
 a ghost path first leaves the camera after exactly two reflections, each at a refracting surface of the lens, a face of
 the array or sensor cover, or the sensor. From each of these faces it leads to an adjacent one, and it leaves the image
-path nowhere else. (A path that meets the concave side of a surface just left, or goes from one lenslet straight to its
-neighbour, is another stray.)
+path nowhere else. (A path that meets the concave side of a surface just left, turns back in gradient-index glass, or
+goes from one lenslet straight to its neighbour, is another stray.)
 
 `EVERY` stands for all paths that a method can find: all but `LAMP_ON_CAMERA`, and in the adjoint method all but
 `LAMP_THROUGH_GLASS` too. Light in no class is named in transport/README.md, "Limits": lamp light that reaches the
@@ -90,10 +91,13 @@ OFF_FACE = _step({
 """Reflection, total or not, at a face of the lens, array or cover, or at the sensor."""
 
 FACE_AGAIN = _step({ON_IMAGE_PATH: IN_NO_GHOST, REFLECTED_ONCE: STRAY, REFLECTED_TWICE: STRAY})
-"""Second hit in succession on the same lens surface."""
+"""Second hit in succession on the same lens surface, along a straight line."""
 
 NEXT_LENSLET = _step(dict.fromkeys((ON_IMAGE_PATH, IN_NO_GHOST, REFLECTED_ONCE, REFLECTED_TWICE), STRAY))
 """Second hit in succession on the same curved side of the array."""
+
+FACE_AGAIN_ALONG_CURVE = NEXT_LENSLET
+"""Second hit in succession on the same lens surface, from within gradient-index glass."""
 
 OUT_OF_LENS = _step({ON_IMAGE_PATH: IN_NO_GHOST, REFLECTED_ONCE: STRAY})
 """Exit from the lens to object space."""

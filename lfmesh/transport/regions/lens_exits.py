@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import at_box, end, end_here, thinned
+from lfmesh.transport.events.gradient import in_gradient
 from lfmesh.transport.events.interface import (
     divided,
     is_rough,
@@ -38,7 +39,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.paths.automaton import FACE_AGAIN, OUT_OF_LENS, cutoff_at_child
+from lfmesh.transport.paths.automaton import FACE_AGAIN, FACE_AGAIN_ALONG_CURVE, OUT_OF_LENS, cutoff_at_child
 from lfmesh.transport.regions.lens_block import (
     ALONG_X,
     ALONG_Y,
@@ -205,7 +206,8 @@ def divide_at_surface(
     """
     r, t = REFLECTED + i, REFRACTED + i
     if packet.last == k:
-        packet.path = FACE_AGAIN[packet.path]
+        curved = in_gradient(lens.gradients, packet.space)
+        packet.path = FACE_AGAIN_ALONG_CURVE[packet.path] if curved else FACE_AGAIN[packet.path]
     x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], block[PX + i], block[PY + i], block[PZ + i])
     if _divided_by_phase(lens.interfaces.phases, block, i, packet, k, lens, has_mla, frames, options, flow, (x, y, z)):
         return

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from lfmesh.transport.paths.automaton import (
     AT_GLASS,
     COUNTS,
+    EVERY,
     FACE_AGAIN,
+    FACE_AGAIN_ALONG_CURVE,
     FROM_LAMP,
     GHOSTS,
     LAMP_ON_CAMERA,
@@ -66,6 +68,17 @@ def test_every_path_from_the_sensor_is_in_exactly_one_class_that_of_the_rule(str
     np.testing.assert_array_equal(found[GHOSTS], ghost)
     np.testing.assert_array_equal(found[OTHER_STRAYS], stray)
     assert not found[[LAMP_THROUGH_GLASS, LAMP_ON_CAMERA]].any()
+
+
+@pytest.mark.parametrize("before", [OFF_FACE, FACE_AGAIN, AT_GLASS])
+def test_a_path_that_turns_back_in_gradient_glass_is_another_stray(before: NDArray[np.int8]) -> None:
+    """Neither the image path nor a sequence of two reflections follows it, whatever comes before and after."""
+    for first in (ON_IMAGE_PATH, int(before[ON_IMAGE_PATH]), int(before[before[ON_IMAGE_PATH]])):
+        for after_turn in STEPS:
+            state = int(after_turn[FACE_AGAIN_ALONG_CURVE[first]])
+            assert [int(of) for of in np.flatnonzero(STANDING[:, state] == COUNTS)] == [
+                EVERY, OFF_IMAGE_PATH, OTHER_STRAYS,
+            ]  # fmt: skip
 
 
 def test_light_of_a_lamp_is_in_the_class_of_what_it_meets_before_it_is_scattered(strings: NDArray[np.int8]) -> None:

@@ -1,5 +1,6 @@
 """Blocks of rays through gradient-index glass: by closed form, by packets, along ghosts, and in whole pictures."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -173,6 +174,56 @@ def test_forward_equals_adjoint_behind_a_rod(split: str) -> None:
         error.append(float(np.sqrt(np.square(image.stderr).sum())))
     assert max(e / t for e, t in zip(error, total, strict=True)) < 0.03
     assert abs(total[0] - total[1]) < stats.t.ppf(1.0 - 0.5 * LEVEL / 2, 15) * np.hypot(*error)
+
+
+def mirroring(method: str, samples: int) -> lf.Scene:
+    """A thick lens close behind a glowing plane, with a mirror for a front face.
+
+    The mirror turns light from the sensor to steep angles, at which it turns back in the glass. A third of the light
+    that leaves the front has done so.
+    """
+    surfaces = [
+        {"radius_mm": 5.0, "thickness_mm": 3.0, "gradient": {"kind": "axial", "index": 2.0, "coefficients": [-0.3]},
+         "semi_diameter_mm": 4.0, "coating": "mirror"},
+        {"semi_diameter_mm": 4.0},
+    ]  # fmt: skip
+    plane = {"shape": {"kind": "plane", "width_mm": 40.0, "height_mm": 40.0}, "position_mm": [0.0, 0.0, -0.3],
+             "material": GLOW}  # fmt: skip
+    scene = camera(
+        surfaces, distance_mm=0.5, coatings={"mirror": {"reflectance": 0.9}}, targets=[plane],
+        transport={"method": method, "split": "both", "samples": samples, "replicates": 16},
+    )  # fmt: skip
+    return scene.changed({"camera.sensor.pixels": [2, 2], "camera.sensor.pixel_mm": 3.0})
+
+
+def test_in_a_mirroring_lens_much_light_turns_back() -> None:
+    """At least a fifth of the light from the sensor that leaves the front met a face twice in succession."""
+    world = lf.build(mirroring("adjoint", 16), aimed=False)
+    draw = np.random.default_rng(6)
+    sine, turn = np.sqrt(draw.uniform(size=2000)), draw.uniform(0.0, 2.0 * np.pi, 2000)
+    d = np.column_stack([sine * np.cos(turn), sine * np.sin(turn), -np.sqrt(1.0 - sine**2)])
+    p = np.column_stack([draw.uniform(-2.5, 2.5, (2000, 2)), np.full(2000, 3.01)])
+    paths = lf.trace(world, p, d, split="roulette", record=True)
+    out, turned = 0.0, 0.0
+    for row in np.flatnonzero(paths.status == lf.Status.ESCAPED):
+        met = [v.surface for v in paths.vertices(int(row)) if v.surface.startswith("lens surface")]
+        out += paths.weight[row]
+        turned += paths.weight[row] * any(one == other for one, other in pairwise(met))
+    assert turned > 0.2 * out > 0.0
+
+
+@pytest.mark.long
+def test_forward_equals_adjoint_with_light_that_turns_back() -> None:
+    """The adjoint method's image path and ghosts do not follow it, so its packets must."""
+    total, error = [], []
+    for method, samples in (("adjoint", 8192), ("forward", 65536)):
+        image = unchecked(mirroring(method, samples))
+        assert abs(image.ledger.imbalance) < 1e-11
+        assert image.ledger.lost_share == 0.0
+        total.append(float(image.mean.sum()))
+        error.append(float(np.sqrt(np.square(image.stderr).sum())))
+    assert max(e / t for e, t in zip(error, total, strict=True)) < 0.03
+    assert abs(total[0] - total[1]) < stats.t.ppf(1.0 - 0.5 * LEVEL, 15) * np.hypot(*error)
 
 
 def test_a_picture_with_ghosts_passes_its_own_proofs() -> None:

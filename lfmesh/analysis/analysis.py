@@ -212,8 +212,8 @@ class LensAnalysis(Shown):
                 f"{spot.passed:9.1%}{t:z12.4f}{s:z12.4f}{d:z9.3f}{light:8.1%}"
             )
         lines += [
-            f"{height:9.3f}  no chief ray: a surface ends before it or reflects it totally; spot and fans are relative "
-            "to the mean of the other rays"
+            f"{height:9.3f}  no chief ray: it is blocked by {spot.chief_blocked_by}; spot and fans are relative to the "
+            "mean of the other rays"
             for height, spot in zip(self.heights_mm, self.spots, strict=True)
             if not spot.has_chief
         ]
@@ -423,22 +423,23 @@ def used_height_mm(scene: Scene) -> float:
 def _spot(rays: LensRays, slope_y: float, waves: tuple[float, ...], across: int) -> Spot:
     grid = pupil_grid(across)
     bundles = [rays.bundle(slope_y, grid, wavelength) for wavelength in waves]
-    chief = rays.chief(slope_y, waves[len(waves) // 2]).place
+    chief = rays.chief(slope_y, waves[len(waves) // 2])
     passes = [bundle.passes for bundle in bundles]
     if not any(each.any() for each in passes):
         raise LfmeshError(
             f"no ray of the field with a slope of {slope_y:.4g} passes the lens; give a smaller height_mm"
         )
     places = np.concatenate([bundle.place[ok] for bundle, ok in zip(bundles, passes, strict=True)])
-    reference = chief if np.isfinite(chief).all() else places.mean(axis=0)
+    reference = chief.place if chief.exists else places.mean(axis=0)
     return Spot(
         slope_y,
-        chief,
+        chief.place,
         reference,
         places - reference,
         np.concatenate([bundle.weight[ok] for bundle, ok in zip(bundles, passes, strict=True)]),
         np.repeat(waves, [int(ok.sum()) for ok in passes]),
         float(np.mean(passes)),
+        chief.blocked_by,
     )
 
 

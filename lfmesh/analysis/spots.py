@@ -22,7 +22,8 @@ class Spot:
     slope_y : float
         Slope of the field: height over distance, or tangent of the angle.
     chief_mm : (2,) float64
-        Intersection of the chief ray, regardless of apertures; NaN if it misses a surface or is totally reflected.
+        Intersection of the chief ray, regardless of apertures; NaN if it misses a surface, is totally reflected, or
+        turns back in gradient-index glass.
     reference_mm : (2,) float64
         Position of the reference point.
     place_mm : (n, 2) float64
@@ -32,6 +33,8 @@ class Spot:
         Wavelength of each ray.
     passed : float
         Unvignetted fraction of the stop.
+    chief_blocked_by : str
+        What ends the chief ray, in words; empty if it arrives.
     """
 
     slope_y: float
@@ -41,6 +44,7 @@ class Spot:
     weight: Array
     wavelength_nm: Array
     passed: float
+    chief_blocked_by: str = ""
 
     @cached_property
     def centroid_mm(self) -> Array:

@@ -236,8 +236,10 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     for number, (found, proven) in enumerate(zip(beam.found_mm, beam.proven_mm, strict=True)):
         clear = clears[number]
         if math.isinf(found):
+            behind_gradient = number > 0 and surfaces[number - 1].gradient is not None
+            why = "miss it, turn back in the gradient-index glass before it" if behind_gradient else "miss it"
             yield (
-                f"rays of the stop's axial beam end at surfaces[{number}], because they miss it or are totally "
+                f"rays of the stop's axial beam end at surfaces[{number}], because they {why} or are totally "
                 "reflected; that surface limits the light, not the stop"
             )
         elif number != lens.stop and abs(found) > clear * (1 + CLOSE):

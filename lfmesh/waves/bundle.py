@@ -86,14 +86,17 @@ class Chief(NamedTuple):
         Point on the plane of the first vertex.
     place : (2,) float64, mm
         Point on the image plane.
+    blocked_by : str
+        Edge that ends the ray, see `ray_ends.WORDS`; empty if it exists.
     """
 
     entry: Array
     place: Array
+    blocked_by: str = ""
 
     @property
     def exists(self) -> bool:
-        """False if a surface ends before the ray, or reflects it totally; its points are then NaN."""
+        """False if an edge ends the ray, as the end of a surface or total reflection; its points are then NaN."""
         return bool(np.isfinite(self.place).all())
 
 
@@ -260,12 +263,13 @@ class LensRays:
             Ray aiming found neither the ray nor an edge.
         """
         field = _field(slope)
-        entry = self._sent(field, np.zeros((1, 2)), wavelength_nm).entry
+        entry, ends = self._sent(field, np.zeros((1, 2)), wavelength_nm)
         if np.isfinite(entry).all():
             arrived = self.aim.unstopped(field[None], entry, wavelength_nm)
             if arrived.weight[0] > 0.0:
                 return Chief(entry[0], self._on_image_plane(arrived)[0])
-        return Chief(np.full(2, np.nan), np.full(2, np.nan))
+            ends = self.aim.lost(arrived)
+        return Chief(np.full(2, np.nan), np.full(2, np.nan), ends.words_of(0))
 
     def _sent(self, field: Array, aim: Array, wavelength_nm: float) -> Sent:
         """Return the rays of a field through points of the stop (n, 2), mm; raise if the search did not converge."""

@@ -164,8 +164,8 @@ def test_a_field_without_a_chief_ray_says_so_and_has_no_figures_from_it() -> Non
     assert edge.reach_mm >= edge.rms_mm > 0.0
     assert np.isnan(found.curves.chief_mm[:, -1]).all()
     assert [line for line in found.lines() if "no chief ray:" in line] == [
-        "    6.400  no chief ray: a surface ends before it or reflects it totally; spot and fans are relative to the "
-        "mean of the other rays"
+        "    6.400  no chief ray: it is blocked by the end of surfaces[1]; spot and fans are relative to the mean of "
+        "the other rays"
     ]
     # Rays through the stop's x axis meet the sphere farther out than the chief ray, and end at its rim as well.
     assert np.isnan([fan.sagittal_mm for fan in found.fans[-1]]).all()

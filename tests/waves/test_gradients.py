@@ -180,12 +180,26 @@ def test_rays_that_meet_the_edge_of_the_glass_name_it_and_waves_refuse_them() ->
         waves_of_field(rays, solved_camera(rays.world.scene), np.zeros(2), WAVE_NM)
 
 
+FADING = {"kind": "axial", "index": 1.5, "coefficients": [-0.24]}
+
+
 def test_a_ray_that_turns_back_in_the_glass_is_named() -> None:
     """From n = 1.5 towards 1.02: a ray with n sin θ = 1.23 turns back, as in a mirage."""
-    fading = {"kind": "axial", "index": 1.5, "coefficients": [-0.24]}
-    scene = rod(fading, 2.0, object_medium={"index": 1.5})
+    scene = rod(FADING, 2.0, object_medium={"index": 1.5})
     with pytest.raises(LfmeshError, match=r"the gradient-index glass behind surfaces\[0\], in which it turns away"):
         lf.wavefront(scene, math.tan(math.radians(55.0)), object_mm=math.inf, image_z_mm=10.0)
+
+
+def test_a_chief_ray_that_turns_back_in_the_glass_names_it() -> None:
+    """A ray with n sin θ = 1.1 turns back; one with 0.9 passes."""
+    rays = rays_of(rod(FADING, 2.0, object_medium={"index": 1.5}), 20.0, 10.0)
+    turns, passes = (rays.chief(math.tan(math.asin(p / 1.5)), WAVE_NM) for p in (1.1, 0.9))
+    assert passes.exists
+    assert passes.blocked_by == ""
+    assert not turns.exists
+    assert turns.blocked_by == (
+        "the gradient-index glass behind surfaces[0], in which it turns away from the next surface"
+    )
 
 
 def test_gradient_index_lenslets_refuse_waves() -> None:

@@ -77,6 +77,25 @@ def test_where_the_stop_is_a_surface_of_glass_the_rays_start_at_its_vertex(camer
     np.testing.assert_allclose([v.position for v in vertices], 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("stop", [0, 1], ids=["before the glass", "behind the glass"])
+def test_beside_gradient_glass_chief_rays_pass_the_middle_of_the_stop(camera: Callable[..., Scene], stop: int) -> None:
+    """They start in the glass, a little behind the stop along a straight line, or in the air behind it."""
+    gradient = {"kind": "radial_n2", "index": 1.5, "coefficients": [-0.001]}
+    surfaces = [
+        {"radius_mm": 40.0, "thickness_mm": 4.0, "gradient": gradient, "semi_diameter_mm": 8.0},
+        {"radius_mm": -60.0, "semi_diameter_mm": 8.0},
+    ]
+    surfaces[stop] |= {"stop": True, "semi_diameter_mm": 6.0}
+    scene = lf.solved(camera().changed({"camera.lens": {"surfaces": surfaces}, "camera.mla.distance_mm": None}))
+    rays = chief_rays(scene)
+    assert rays.traced.all()
+    start, direction = (rays.entry - rays.direction).reshape(-1, 3), -rays.direction.reshape(-1, 3)
+    backwards = lf.trace(lf.build(scene), start, direction, split="transmit", record=True)
+    name = f"lens surface {stop}"
+    vertices = [next(v for v in backwards.vertices(i) if v.surface == name) for i in range(len(backwards))]
+    np.testing.assert_allclose([v.position for v in vertices], [[0.0, 0.0, 4.0 * stop]] * len(vertices), atol=1e-8)
+
+
 def test_a_lenslet_beyond_the_lens_reach_has_no_chief_ray(camera: Callable[..., Scene]) -> None:
     """The mount of the rear element hides the corners of a large array from the middle of the stop."""
     scene = camera(columns=500, rows=2)

@@ -242,6 +242,10 @@ class Aim:
         points = frames.points(self._into_stop, points)
         passed = [i for i, name in enumerate(names) if name in self._names]
         k = self._before_stop
+        before = [names[i] for i in passed[: k if self._pure_stop else k + 1]]
+        if before != self._names[: len(before)]:
+            # Total reflection or gradient-index glass turned it before the stop.
+            return np.full(2, np.nan)
         if not self._pure_stop:
             if len(passed) > k:
                 return points[passed[k], :2]

@@ -330,12 +330,28 @@ def meridian_ranges(
     height : (n,) float64 each, mm
         Unbounded heights give unbounded results.
     """
+
+    def range_of(r: Range, order: int) -> Range:
+        return profile_range((np.full_like(r[0], curvature),) * 2, conic, powers, r, order)
+
+    return on_meridian(range_of, height)
+
+
+def on_meridian(range_of: Callable[[Range, int], Range], height: Range) -> tuple[Range, Range, Range]:
+    """Return bounds of a profile at heights of either sign, and of its first and second derivative.
+
+    Parameters
+    ----------
+    range_of : callable
+        Returns the ranges of SAG, SLOPE or ALONG over intervals of the radius.
+    height : (n,) float64 each, mm
+        Unbounded heights give unbounded results.
+    """
     known = np.isfinite(height[0]) & np.isfinite(height[1])
     crosses = (height[0] < 0.0) & (height[1] > 0.0)
     ends = np.abs(np.where(known, height, 0.0))
     r = np.where(crosses, 0.0, ends.min(axis=0)), ends.max(axis=0)
-    curved = (np.full_like(r[0], curvature),) * 2
-    sag, slope, bend = (profile_range(curved, conic, powers, r, order) for order in (SAG, SLOPE, ALONG))
+    sag, slope, bend = (range_of(r, order) for order in (SAG, SLOPE, ALONG))
     # The slope is odd.
     mirrored = scaled(-1.0, slope)
     rise = (
@@ -358,11 +374,27 @@ def revolved_bends(
     x, y : (n,) float64 each, mm
         Finite.
     """
+
+    def range_of(r: Range, order: int) -> Range:
+        return profile_range((np.full_like(r[0], curvature),) * 2, conic, powers, r, order)
+
+    return in_plane(range_of, x, y)
+
+
+def in_plane(range_of: Callable[[Range, int], Range], x: Range, y: Range) -> list[Range]:
+    """Return bounds of a profile of revolution and of its derivatives by x, by y, by x twice, by both, by y twice.
+
+    Parameters
+    ----------
+    range_of : callable
+        Returns the ranges of SAG, ACROSS or ALONG over intervals of the radius.
+    x, y : (n,) float64 each, mm
+        Finite.
+    """
     x2, y2 = squared(x), squared(y)
     r2 = plus(x2, y2)
     r = np.sqrt(np.maximum(r2[0], 0.0)), np.sqrt(r2[1])
-    curved = (np.full_like(r[0], curvature),) * 2
-    sag, across, along = (profile_range(curved, conic, powers, r, order) for order in (SAG, ACROSS, ALONG))
+    sag, across, along = (range_of(r, order) for order in (SAG, ACROSS, ALONG))
     more = plus(along, scaled(-1.0, across))
     with np.errstate(invalid="ignore"):
         # Fractions of x² and y² in r².

@@ -18,8 +18,10 @@ from lfmesh.scene.camera.phase import (
     GridPhase,
     HologramPhase,
     MetalensPhase,
+    PhaseZone,
     RadialPhase,
     XyPhase,
+    ZonedPhase,
 )
 from lfmesh.scene.light.spectra import Spectrum
 
@@ -145,9 +147,13 @@ def phase_rad(phase: AnyPhase, x: Any, y: Any) -> Any:
     kind = x.real.dtype.type
     match phase:
         case RadialPhase():
-            total, r2 = 0 * x, (x * x + y * y) / kind(phase.radius_mm) ** 2
-            for coefficient in reversed(phase.coefficients_rad):
-                total = (total + kind(coefficient)) * r2
+            return _radial(phase, x, y)
+        case ZonedPhase():
+            r2 = x.real * x.real + y.real * y.real
+            total = _zone(phase.zones[-1], x, y)
+            for zone in reversed(phase.zones[:-1]):
+                inside = r2 <= kind(zone.border_mm) * kind(zone.border_mm)
+                total = np.where(inside, _zone(zone, x, y), total)
             return total
         case XyPhase():
             u, v = x / kind(phase.radius_mm), y / kind(phase.radius_mm)
@@ -161,6 +167,18 @@ def phase_rad(phase: AnyPhase, x: Any, y: Any) -> Any:
         case HologramPhase():
             return _hologram(phase, x, y)
     raise NotImplementedError(f"{phase.kind}: the truth has no such phase")
+
+
+def _zone(zone: PhaseZone, x: Any, y: Any) -> Any:
+    return _radial(zone, x, y) + x.real.dtype.type(zone.offset_rad)
+
+
+def _radial(terms: RadialPhase | PhaseZone, x: Any, y: Any) -> Any:
+    kind = x.real.dtype.type
+    total, r2 = 0 * x, (x * x + y * y) / kind(terms.radius_mm) ** 2
+    for coefficient in reversed(terms.coefficients_rad):
+        total = (total + kind(coefficient)) * r2
+    return total
 
 
 def _power(base: Any, exponent: int) -> Any:

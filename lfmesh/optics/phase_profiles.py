@@ -17,6 +17,8 @@ from lfmesh.optics.phase_shapes import (
     RADIAL,
     SHAPE,
     XY,
+    ZONE_HEADER,
+    ZONES,
     PhaseProfile,
 )
 
@@ -28,6 +30,7 @@ __all__ = [
     "PHASE",
     "RADIAL",
     "XY",
+    "ZONES",
     "PhaseProfile",
     "Phases",
     "phase_at",
@@ -129,7 +132,7 @@ def _derived(
     """Return a phase, its derivatives by x and by y, and those by x twice, by both and by y twice."""
     row = phases.rows[number]
     if row.kind == RADIAL:
-        return _radial(phases.numbers, row, x, y)
+        return _radial(phases.numbers, row.first, row.count, row.scale, x, y)
     if row.kind == XY:
         return _polynomial(phases.numbers, row, x, y)
     if row.kind == GRATING:
@@ -139,23 +142,41 @@ def _derived(
         return _metalens(phases.numbers[row.first], phases.numbers[row.first + 1], x, y)
     if row.kind == GRID:
         return _spline(phases.numbers, row.first, x, y)
+    if row.kind == ZONES:
+        return _in_zone(phases.numbers, row.first, x, y)
     return _hologram(phases.numbers, row.first, x, y)
 
 
 @inlined
-def _radial(numbers: Array, row: Any, x: float, y: float) -> tuple[float, float, float, float, float, float]:
+def _radial(
+    numbers: Array, first: int, count: int, scale: float, x: float, y: float
+) -> tuple[float, float, float, float, float, float]:
     """Derive u q(u), with u = (r/R)² and q = Σ A_i u^(i−1) and its derivatives by Horner's scheme."""
-    per2 = row.scale * row.scale
+    per2 = scale * scale
     u = (x * x + y * y) * per2
-    value, first, half = 0.0, 0.0, 0.0
-    for i in range(row.count - 1, -1, -1):
-        half = half * u + first
-        first = first * u + value
-        value = value * u + numbers[row.first + i]
-    by_u = value + u * first
-    bent = 2.0 * (first + u * half)
+    value, rate, half = 0.0, 0.0, 0.0
+    for i in range(count - 1, -1, -1):
+        half = half * u + rate
+        rate = rate * u + value
+        value = value * u + numbers[first + i]
+    by_u = value + u * rate
+    bent = 2.0 * (rate + u * half)
     along, across = 2.0 * per2 * by_u, 4.0 * per2 * per2 * bent
     return u * value, along * x, along * y, along + across * x * x, across * x * y, along + across * y * y
+
+
+@inlined
+def _in_zone(
+    numbers: Array, first: int, x: float, y: float
+) -> tuple[float, float, float, float, float, float]:  # fmt: skip
+    """Derive the radial phase of the zone that contains a point; a border belongs to the zone inside it."""
+    r2, at = x * x + y * y, first + 1
+    for _ in range(int(numbers[first]) - 1):
+        if r2 <= numbers[at] * numbers[at]:
+            break
+        at += ZONE_HEADER + int(numbers[at + 3])
+    value, by_x, by_y, xx, xy, yy = _radial(numbers, at + ZONE_HEADER, int(numbers[at + 3]), numbers[at + 1], x, y)
+    return numbers[at + 2] + value, by_x, by_y, xx, xy, yy
 
 
 @inlined

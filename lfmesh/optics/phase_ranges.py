@@ -20,10 +20,13 @@ from lfmesh.optics.phase_shapes import (
     METALENS,
     RADIAL,
     SHAPE,
+    ZONES,
     PhaseProfile,
     grid_bounds_mm,
     grid_coefficients,
+    zones_of,
 )
+from lfmesh.optics.zones import zones_in_plane, zones_on_meridian
 
 Powers = tuple[tuple[int, float], ...]
 
@@ -42,6 +45,8 @@ def meridian_phase(profile: PhaseProfile, height: Range) -> tuple[Range, Range]:
     tuple of two Range
         rad/mm and rad/mm².
     """
+    if profile.kind == ZONES:
+        return zones_on_meridian(zones_of(profile), height)[1:]
     scale = profile.scale
     slopes, bends = [], []
     for factor, curvature, conic, powers in _revolved(profile):
@@ -78,6 +83,8 @@ def _bends(profile: PhaseProfile, x: Range, y: Range) -> list[Range]:
         return _grid_bends(profile, x, y)
     if profile.kind == HOLOGRAM:
         return _hologram_bends(profile, x, y)
+    if profile.kind == ZONES:
+        return zones_in_plane(zones_of(profile), x, y)[1:]
     scale = profile.scale
     units = scale, scale, scale * scale, scale * scale, scale * scale
     s, t = scaled(scale, x), scaled(scale, y)

@@ -12,12 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfmesh.optics.zones import Zone
+
 Array = NDArray[np.float64]
 
-RADIAL, XY, GRATING, METALENS, GRID, HOLOGRAM = range(6)
+RADIAL, XY, GRATING, METALENS, GRID, HOLOGRAM, ZONES = range(7)
 
-SHAPE, GRID_HEADER = 2, 6
-"""Numbers before the coefficients: of `XY` its shape, of `GRID` its shape, origin and samples per mm."""
+SHAPE, GRID_HEADER, ZONE_HEADER = 2, 6, 4
+"""Numbers before the coefficients: of `XY` its shape; of `GRID` its shape, origin and samples per mm; of a zone of
+`ZONES` its outer border, scale, offset and number of coefficients."""
 
 ROUNDED = 2.0**-40
 """Rounding limit of derivatives of a spline, relative to the terms of their sums."""
@@ -32,7 +35,7 @@ class PhaseProfile(NamedTuple):
     Attributes
     ----------
     kind : int
-        RADIAL, XY, GRATING, METALENS, GRID or HOLOGRAM.
+        RADIAL, XY, GRATING, METALENS, GRID, HOLOGRAM or ZONES.
     scale : float, 1/mm
         Factor of x and y in RADIAL and XY; otherwise 1.
     numbers : (n,) float64
@@ -40,6 +43,8 @@ class PhaseProfile(NamedTuple):
         rad, row by row. GRATING: gradient, rad/mm. METALENS: focal length, mm, and wave number, rad/mm. HOLOGRAM: wave
         number; then for each point +1 (real) or −1 (virtual), and its position, mm. GRID: numbers of samples along x
         and y, position of the first sample, mm, samples per mm along x and y, then the coefficients of the B-splines.
+        ZONES: number of zones; then for each, from the vertex outwards, its outer border, mm, scale, 1/mm, offset, rad,
+        number of coefficients, and coefficients as of RADIAL.
     """
 
     kind: int
@@ -50,6 +55,32 @@ class PhaseProfile(NamedTuple):
 def radial_profile(coefficients_rad: Sequence[float], radius_mm: float) -> PhaseProfile:
     """Return the phase Σ A_i (r/R)^(2i), with i from 1."""
     return PhaseProfile(RADIAL, 1.0 / radius_mm, np.array(coefficients_rad, np.float64))
+
+
+def zones_profile(zones: Sequence[Zone]) -> PhaseProfile:
+    """Return a phase of revolution in zones, offset + Σ A_i (scale r)^(2i) in each.
+
+    Parameters
+    ----------
+    zones : sequence of Zone
+        From the vertex outwards, without conics.
+    """
+    parts = [
+        [zone.outer, zone.scale, zone.offset, len(zone.powers), *(a for _, a in zone.powers)] for zone in zones
+    ]  # fmt: skip
+    return PhaseProfile(ZONES, 1.0, np.concatenate([[len(zones)], *parts]))
+
+
+def zones_of(profile: PhaseProfile) -> list[Zone]:
+    """Return the zones of a phase of the kind ZONES."""
+    zones, at, inner = [], 1, 0.0
+    for _ in range(int(profile.numbers[0])):
+        outer, scale, offset, count = (float(each) for each in profile.numbers[at : at + ZONE_HEADER])
+        end = at + ZONE_HEADER + int(count)
+        powers = tuple((2 * i, float(a)) for i, a in enumerate(profile.numbers[at + ZONE_HEADER : end], start=1))
+        zones.append(Zone(inner, outer, offset, 0.0, 0.0, powers, scale))
+        at, inner = end, outer
+    return zones
 
 
 def xy_profile(terms: Sequence[tuple[int, int, float]], radius_mm: float) -> PhaseProfile:
@@ -159,6 +190,10 @@ def vertex_derivatives(profile: PhaseProfile) -> tuple[float, float, float, floa
     numbers, scale = profile.numbers, profile.scale
     if profile.kind == RADIAL:
         bend = 2.0 * float(numbers[0]) * scale**2 if len(numbers) else 0.0
+        return 0.0, 0.0, bend, 0.0, bend
+    if profile.kind == ZONES:
+        inmost = zones_of(profile)[0]
+        bend = 2.0 * inmost.powers[0][1] * inmost.scale**2
         return 0.0, 0.0, bend, 0.0, bend
     if profile.kind == XY:
         table = np.zeros((3, 3))

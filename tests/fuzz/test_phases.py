@@ -14,7 +14,11 @@ RADIAL = 'kind = "radial", radius_mm = 5.0, coefficients_rad = [-90.0]'
 GRATING = 'kind = "grating", lines_per_mm = 20.0'
 METALENS = 'kind = "metalens", focal_length_mm = 9.0, design_nm = 550.0'
 HOLOGRAM = 'kind = "hologram", construction_nm = 550.0, point_1_mm = [0.0, 0.0, -90.0], point_2_mm = [0.0, 0.0, 60.0]'
-WHOLE = (RADIAL, GRATING, METALENS, HOLOGRAM)
+ZONES = (
+    'kind = "zones", zones = [{ border_mm = 1.0, coefficients_rad = [-9.0], radius_mm = 1.0 }, '
+    "{ coefficients_rad = [-40.0, 1.0], radius_mm = 2.5, offset_rad = 0.5 }]"
+)
+WHOLE = (RADIAL, GRATING, METALENS, HOLOGRAM, ZONES)
 
 BAD = {
     "no table": "1",
@@ -40,6 +44,13 @@ BAD = {
     "metalens of NaN": '{ kind = "metalens", focal_length_mm = nan, design_nm = 550.0 }',
     "hologram of one point": '{ kind = "hologram", construction_nm = 550.0, point_1_mm = [0.0, 0.0, -90.0] }',
     "hologram of points in its plane": "{ " + HOLOGRAM.replace("60.0", "0.0") + " }",
+    "zones without a zone": '{ kind = "zones", zones = [] }',
+    "zones without numbers": '{ kind = "zones", zones = [{ border_mm = 1.0 }, {}] }',
+    "zones without an outer border": "{ " + ZONES.replace("border_mm = 1.0, ", "") + " }",
+    "zones that end": "{ " + ZONES.replace("offset_rad = 0.5", "border_mm = 2.0") + " }",
+    "zones of no width": "{ " + ZONES.replace("border_mm = 1.0", "border_mm = 0.0") + " }",
+    "zones of NaN": "{ " + ZONES.replace("-40.0", "nan") + " }",
+    "zones of an infinite offset": "{ " + ZONES.replace("= 0.5", "= inf") + " }",
     "grid without a file": '{ kind = "grid" }',
     "grid of no file": '{ kind = "grid", file = "nothing.npz" }',
     "grid of NUL": '{ kind = "grid", file = "\\u0000.npz" }',

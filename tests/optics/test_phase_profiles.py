@@ -18,7 +18,9 @@ from lfmesh.optics.phase_shapes import (
     radial_profile,
     vertex_derivatives,
     xy_profile,
+    zones_profile,
 )
+from lfmesh.optics.zones import Zone
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(5)
@@ -49,6 +51,20 @@ def hologram(x: Array, y: Array) -> Array:
     return change(x, y) - change(np.zeros(1), np.zeros(1))
 
 
+ZONES = [
+    Zone(0.0, 0.8, 0.3, 0.0, 0.0, ((2, -40.0), (4, 3.0)), 0.5),
+    Zone(0.8, 1.4, -7.0, 0.0, 0.0, ((2, 5.0),), 0.4),
+    Zone(1.4, math.inf, 0.0, 0.0, 0.0, ((2, 0.0), (4, -2.0), (6, 0.5)), 0.7),
+]
+
+
+def zoned(x: Array, y: Array) -> Array:
+    r = np.hypot(x, y)
+    inner, middle = -10.0 * r**2 + 3.0 / 16.0 * r**4 + 0.3, 0.8 * r**2 - 7.0
+    outer = -2.0 * (0.7 * r) ** 4 + 0.5 * (0.7 * r) ** 6
+    return np.where(r <= 0.8, inner, np.where(r <= 1.4, middle, outer))
+
+
 KINDS: dict[str, tuple[PhaseProfile, Callable[[Array, Array], Array]]] = {
     "radial": (
         radial_profile((-40.0, 3.0, -0.2), 2.0),
@@ -69,6 +85,7 @@ KINDS: dict[str, tuple[PhaseProfile, Callable[[Array, Array], Array]]] = {
     ),
     "grid": (cubic_grid(), lambda x, y: polyval2d(x, y, CUBIC)),
     "hologram": (hologram_profile((REAL, VIRTUAL), (True, False), 20.0), hologram),
+    "zones": (zones_profile(ZONES), zoned),
 }
 
 
@@ -163,3 +180,11 @@ def test_the_rounding_of_a_grid_is_no_tilt_of_its_vertex() -> None:
         by_x, by_y, xx, xy, yy = vertex_derivatives(grid_profile(phase, 6.0 / 63.0))
         assert by_x == by_y == xy == 0.0
         assert xx == yy
+
+
+def test_a_border_belongs_to_the_zone_inside_it() -> None:
+    """A ray at the kink takes the slope of one zone, never a mean."""
+    at = np.array([[0.8, 0.0], [np.nextafter(0.8, 1.0), 0.0], [0.0, -1.4], [0.0, -np.nextafter(1.4, 2.0)]])
+    found, _ = derivatives(zones_profile(ZONES), at)
+    wanted = [-20.0 * 0.8 + 0.75 * 0.8**3, 1.6 * 0.8, -1.6 * 1.4, 8.0 * 0.7**4 * 1.4**3 - 3.0 * 0.7**6 * 1.4**5]
+    np.testing.assert_allclose([found[0, 1], found[1, 1], found[2, 2], found[3, 2]], wanted, rtol=1e-12)

@@ -14,7 +14,9 @@ from lfmesh.optics.phase_shapes import (
     metalens_profile,
     radial_profile,
     xy_profile,
+    zones_profile,
 )
+from lfmesh.optics.zones import Zone
 
 RNG = np.random.default_rng(11)
 PROFILES: dict[str, PhaseProfile] = {
@@ -26,7 +28,12 @@ PROFILES: dict[str, PhaseProfile] = {
     "grid": grid_profile(RNG.normal(size=(12, 9)), (0.5, 0.7)),
     "hologram": hologram_profile(((0.4, -1.0, -30.0), (-0.2, 0.3, 25.0)), (True, False), 20.0),
     "hologram on axis": hologram_profile(((0.0, 0.0, -30.0), (0.0, 0.0, -25.0)), (True, True), 20.0),
-}
+    "zones": zones_profile([
+        Zone(0.0, 0.8, 0.3, 0.0, 0.0, ((2, -40.0), (4, 3.0)), 0.5),
+        Zone(0.8, 1.4, -7.0, 0.0, 0.0, ((2, 5.0),), 0.4),
+        Zone(1.4, np.inf, 0.0, 0.0, 0.0, ((2, 0.0), (4, -2.0), (6, 0.5)), 0.7),
+    ]),
+}  # fmt: skip
 CELLS = 200
 
 
@@ -68,7 +75,7 @@ def test_beyond_a_grid_nothing_is_known() -> None:
     assert all(np.isinf(each[0]).all() for each in beyond)
 
 
-@pytest.mark.parametrize("kind", ["radial", "metalens", "diverging metalens", "hologram on axis"])
+@pytest.mark.parametrize("kind", ["radial", "metalens", "diverging metalens", "hologram on axis", "zones"])
 def test_along_a_meridian_bounds_hold_at_heights_of_either_sign(kind: str) -> None:
     profile = PROFILES[kind]
     table = phase_table([profile])

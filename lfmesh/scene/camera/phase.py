@@ -18,12 +18,14 @@ from lfmesh.optics.phase_shapes import (
     metalens_profile,
     radial_profile,
     xy_profile,
+    zones_profile,
 )
+from lfmesh.optics.zones import Zone
 from lfmesh.scene.camera.base_phase import MM_PER_NM, Phase
 from lfmesh.scene.camera.orders import Order
 from lfmesh.scene.inputs import file_stamp
 from lfmesh.scene.light.spectra import Resolves
-from lfmesh.scene.model import Fault
+from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import Coefficient, FilePath, Number, Positive, SignedLength, Vector
 
 __all__ = [
@@ -34,13 +36,18 @@ __all__ = [
     "MetalensPhase",
     "Order",
     "Phase",
+    "PhaseZone",
     "RadialPhase",
     "XyPhase",
+    "ZonedPhase",
     "with_grids_beside",
 ]
 
 MOST_TERMS = 240
-"""Maximum number of coefficients of a radial phase."""
+"""Maximum number of coefficients of a radial phase, or of a zone."""
+
+MOST_ZONES = 60
+"""Maximum number of zones of a phase."""
 
 HIGHEST_POWER, MOST_XY_TERMS = 40, 861
 """Highest power of x and of y in a phase, and maximum number of terms."""
@@ -239,8 +246,55 @@ class HologramPhase(Phase):
                 yield Fault((key,), list(getattr(self, key)), "must not lie in the vertex plane, z = 0")
 
 
+class PhaseZone(Model):
+    """A ring of a "zones" phase: offset + Σ A_i (r / radius)^(2i), with i from 1."""
+
+    border_mm: Positive | None = None
+    """Outer radius of the zone, in mm. Omitted: at the last zone only, which has no end."""
+    coefficients_rad: tuple[Coefficient, ...] = Field(min_length=1, max_length=MOST_TERMS)
+    """Coefficients A of r², r⁴, ..., in rad; [0.0] for a zone that turns no light."""
+    radius_mm: Positive
+    """Distance that r is divided by, in mm."""
+    offset_rad: Number = 0.0
+    """Constant phase of the zone, in rad. It turns no ray, but shifts the zone's waves against the others."""
+
+
+class ZonedPhase(Phase):
+    """Concentric zones with radial phases of their own, as of a lens with two focal points."""
+
+    kind: Literal["zones"] = "zones"
+    """Kind of phase."""
+    zones: tuple[PhaseZone, ...] = Field(min_length=1, max_length=MOST_ZONES)
+    """Zones, from the vertex outwards, such as [{ border_mm = 1.5, coefficients_rad = [-20.0], radius_mm = 1.5 }, {
+    coefficients_rad = [-70.0], radius_mm = 2.5 }]. A point on a border belongs to the zone inside it."""
+
+    def _shape(self) -> PhaseProfile:
+        borders = [math.inf if zone.border_mm is None else zone.border_mm for zone in self.zones]
+        return zones_profile([
+            Zone(inner, outer, zone.offset_rad, 0.0, 0.0,
+                 tuple((2 * i, a) for i, a in enumerate(zone.coefficients_rad, start=1)), 1.0 / zone.radius_mm)
+            for zone, inner, outer in zip(self.zones, [0.0, *borders[:-1]], borders, strict=True)
+        ])  # fmt: skip
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield faults between fields, and borders that are missing or do not grow."""
+        yield from super().faults()
+        before = 0.0
+        for k, zone in enumerate(self.zones[:-1]):
+            where = ("zones", k, "border_mm")
+            if zone.border_mm is None:
+                yield Fault(where, None, "missing: only the last zone has no end")
+            elif zone.border_mm <= before:
+                yield Fault(where, zone.border_mm, f"must be above that of the zone inside, {before:g}")
+            before = zone.border_mm or before
+        if self.zones[-1].border_mm is not None:
+            where = ("zones", len(self.zones) - 1, "border_mm")
+            yield Fault(where, self.zones[-1].border_mm, "omit it: the last zone has no end")
+
+
 AnyPhase = Annotated[
-    RadialPhase | XyPhase | GratingPhase | MetalensPhase | GridPhase | HologramPhase, Field(discriminator="kind")
+    RadialPhase | XyPhase | GratingPhase | MetalensPhase | GridPhase | HologramPhase | ZonedPhase,
+    Field(discriminator="kind"),
 ]
 """A phase, by its kind."""
 

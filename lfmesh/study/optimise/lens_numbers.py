@@ -19,6 +19,7 @@ from lfmesh.geometry.lens.main_order import lens_phases, refuse_several_orders
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene
 from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.phase import ZonedPhase
 from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.scene.first_order.solve import focus_wished_mm, image_plane_mm
 from lfmesh.study.optimise.gradient_rays import GradientForm, gradient_form, gradient_numbers
@@ -208,6 +209,11 @@ def layout_of(scene: Scene, waves_nm: tuple[float, ...], object_mm: float | None
         raise LfmeshError(
             f"camera.lens.surfaces[{number}].{key}: terms of rays need surfaces of revolution, as the lens sheet does"
         )
+    for i, surface in enumerate(lens.surfaces):
+        if isinstance(surface.phase, ZonedPhase):
+            raise LfmeshError(
+                f'camera.lens.surfaces[{i}].phase.kind = "zones": terms of rays need one formula for the whole phase'
+            )
     refuse_several_orders(lens_phases(scene))
     stop, phases = lens.stop_index or 0, tuple(phase_terms(surface).counts for surface in lens.surfaces)
     return RayLayout(

@@ -116,6 +116,11 @@ KEYS = [
     *["odd_asphere_mm = [1e300, -1e300]", "odd_asphere_mm = [0.0, 0.0, 1e-9]"],
     *["biconic = { radius_x_mm = 1e-9 }", "biconic = { radius_x_mm = -30.0, conic_x = 1e15 }", "toroid = {}"],
     *["toroid = { radius_x_mm = inf }", "toroid = { radius_x_mm = -1e-9 }", "toroid = { radius_x_mm = 25.0 }"],
+    *["outer_zone = {}", "outer_zone = { border_mm = 1e-9, radius_mm = 20.0 }"],
+    "outer_zone = { border_mm = 2.0, radius_mm = -1e-9, conic = 1e15 }",
+    "outer_zone = { border_mm = 2.0, radius_mm = inf, asphere_mm = [1e300, -1e300] }",
+    "outer_zone = { border_mm = 1e15, radius_mm = 20.0, asphere_mm = [1e-3] }",
+    "outer_zone = { border_mm = 2.0, radius_mm = 20.0, conic = -1.0 }",
 ]
 
 numbers = st.one_of(

@@ -510,3 +510,25 @@ def gradient_in_the_array(draft: Draft, dice: Dice) -> bool | None:
     if dice.chance(0.4):
         mla["walls"] = "clear"
     return None
+
+
+# Zones, after the gradients that they do not go with
+
+
+@feature(cameras=0.03, scenes=0.0, own_kernels=True)
+def outer_zone(draft: Draft, dice: Dice) -> bool | None:
+    """A kink inside the beam, and another radius and asphere beyond it."""
+    excluded = {"odd_asphere_mm", "biconic", "toroid", "gradient"}
+    beside = [draft.surfaces[k] for k in range(1, len(draft.surfaces)) if "gradient" in draft.surfaces[k - 1]]
+    plain = [s for s in draft.curved if not excluded & s.keys() and not any(s is each for each in beside)]
+    if not plain:
+        return False
+    surface, h = dice.one_of(*plain), draft.semi_mm
+    radius = surface["radius_mm"]
+    other = rounded(radius * dice.between(0.9, 1.15)) if math.isfinite(radius) else 5.0 * draft.focal_mm
+    surface["outer_zone"] = {
+        "border_mm": rounded(h * dice.between(0.3, 0.8)),
+        "radius_mm": other,
+        "asphere_mm": [rounded(dice.both_signs(0.0, 0.01) / h**3)],
+    }
+    return None

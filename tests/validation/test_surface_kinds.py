@@ -84,7 +84,31 @@ def toroid(draw: np.random.Generator, size: float = 1.0) -> tuple[dict[str, Any]
     return keys, sag
 
 
-KINDS = {"odd": odd, "biconic": biconic, "toroid": toroid}
+def two_zones(draw: np.random.Generator, size: float = 1.0) -> tuple[dict[str, Any], Sag]:
+    """Return a random surface whose outer zone has another shape, shifted to join the inner one with a kink."""
+    border = float(draw.uniform(0.3, 0.5)) * SEMI
+    zones, tables = [], []
+    for _ in range(2):
+        (c, k), evens = curve(draw), draw.normal(size=2) * 0.1 / SEMI ** np.array([4.0, 6.0])
+        zones.append((c, k, evens))
+        asphere = evens / size ** np.array([3.0, 5.0])
+        tables.append({"radius_mm": radius(c, size), "conic": k, "asphere_mm": asphere})
+    keys = tables[0] | {"outer_zone": tables[1] | {"border_mm": border * size}}
+
+    def of_zone(zone: tuple[float, float, Array], r2: Any) -> Any:
+        c, k, evens = zone
+        return conic(c, k, r2) + evens[0] * r2**2 + evens[1] * r2**3
+
+    step = of_zone(zones[0], border**2) - of_zone(zones[1], border**2)
+
+    def sag(x: Any, y: Any) -> Any:
+        r2 = (x * x + y * y) / size**2
+        return size * np.where(np.real(r2) > border**2, of_zone(zones[1], r2) + step, of_zone(zones[0], r2))[()]
+
+    return keys, sag
+
+
+KINDS = {"odd": odd, "biconic": biconic, "toroid": toroid, "two zones": two_zones}
 
 
 def gradient(sag: Sag, x: float, y: float) -> tuple[float, float]:

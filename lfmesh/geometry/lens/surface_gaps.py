@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array
-from lfmesh.geometry.surfaces.bends import bends_between, with_bends
+from lfmesh.geometry.surfaces.bends import bends_between, kink_of, with_bends, zones_of
 from lfmesh.geometry.surfaces.edges import ROUNDING_OF_COORDINATES
 from lfmesh.geometry.surfaces.sag import gradients, reach, sag
 from lfmesh.geometry.surfaces.surface import is_revolved
@@ -139,7 +139,8 @@ def _first_touch(front: Any, back: Any, low: float, high: float) -> float:
     bend = max(float(of_back[1][0] - of_front[0][0]), 0.0)
     if at_high > 0.0 and min(at_low, at_high) - 0.125 * bend * (high - low) ** 2 > -least:
         return np.inf
-    middle = 0.5 * (low + high)
+    borders = [float(s["border"]) for s in (front, back) if low < s["border"] < high]
+    middle = borders[0] if borders else 0.5 * (low + high)
     if middle in (low, high):
         return low
     found = _first_touch(front, back, low, middle)
@@ -176,7 +177,7 @@ def farthest_mm(surface: Any, radius: float) -> float:
     radius : float, mm
         Part of the surface that counts.
     """
-    bend = float(_bend(with_bends(surface, radius), np.array([radius]))[0])
+    bend = float(_bend(with_bends(surface, radius), np.array([radius]), radius)[0])
     return 0.5 * bend * radius**2 if bend > 0.0 else 0.0
 
 
@@ -201,7 +202,7 @@ def _heights(
     beside = np.hypot(*middles.T) - extent > ends[0]
     p = _clipped(middles, ends[0])
     slope = np.stack(gradients(one, *p.T), axis=1)
-    bend = _bend(one, np.minimum(np.hypot(*p.T) + extent, ends[0]))
+    bend = _bend(one, np.minimum(np.hypot(*p.T) + extent, ends[0]), extent)
     z = one["vertex_z"] + mesh_heights(one, *p.T)
     q = frame.points(other["unpose"], frame.points(one["pose"], np.column_stack([p, z])))
     turn = other["unpose"][:, :3] @ one["pose"][:, :3]
@@ -212,7 +213,7 @@ def _heights(
     beside |= np.hypot(q[:, 0], q[:, 1]) - wide > ends[1]
     at = _clipped(q[:, :2], ends[1])
     its_slope = np.stack(gradients(other, *at.T), axis=1)
-    its_bend = _bend(other, np.minimum(np.hypot(*at.T) + wide, last_radius(other)))
+    its_bend = _bend(other, np.minimum(np.hypot(*at.T) + wide, last_radius(other)), wide)
     its_steepest = np.hypot(*its_slope.T) + its_bend * wide
     height: Array = sense * (q[:, 2] - other["vertex_z"] - mesh_heights(other, *at.T))
     rate = along[:, 2] - np.einsum("ki,kij->kj", its_slope, along[:, :2])
@@ -230,7 +231,18 @@ def _clipped(points: Array, radius: float) -> Array:
     return np.asarray(points * np.minimum(1.0, np.divide(radius, r, out=np.ones_like(r), where=r > 0.0))[:, None])
 
 
-def _bend(surface: Any, radius: Array) -> Array:
-    """Return bounds (k,) of the magnitude of the second derivatives of z inside circles of radii (k,)."""
-    least, most = bends_between(surface, np.zeros(len(radius)), radius)
-    return np.maximum(-least, most)
+def _bend(surface: Any, radius: Array, extent: float | Array) -> Array:
+    """Return bounds (k,) of the magnitude of the second derivatives of z inside circles of radii (k,).
+
+    A straight line crosses the border of a zone at most twice, and its slope jumps by at most the kink J each time. On
+    lines of the given extent e, that moves z by no more than a second derivative of 4 J / e does.
+    """
+    zones = zones_of(surface)
+    parts = [(np.zeros(len(radius)), radius)]
+    if zones:
+        parts = [(np.minimum(radius, zone.inner), np.minimum(radius, zone.outer)) for zone in zones]
+    bounds = [bends_between(surface, *part) for part in parts]
+    most = np.max([np.maximum(-least, most) for least, most in bounds], axis=0)
+    if not zones:
+        return np.asarray(most)
+    return np.asarray(most + np.where(radius > zones[0].outer, 4.0 * kink_of(surface, np.inf) / extent, 0.0))

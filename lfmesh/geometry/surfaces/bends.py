@@ -29,6 +29,7 @@ from lfmesh.optics.bounds import (
     times,
 )
 from lfmesh.optics.section_bounds import BiconicParts, biconic_parts, toroid_height, toroid_seconds
+from lfmesh.optics.zones import Zone, kinks, zone_range, zones_range
 
 Line = tuple[tuple[float, float], tuple[float, float]]
 """Two opposite corners of a row of cells."""
@@ -91,6 +92,27 @@ def powers_of(surface: Any) -> list[tuple[int, float]]:
     return [(4 + 2 * n, float(a)) for n, a in even] + [(3 + 2 * n, float(a)) for n, a in odd]
 
 
+def zones_of(surface: Any) -> tuple[Zone, ...]:
+    """Return the inner and the outer zone of a surface that has two; else nothing."""
+    border = float(surface["border"])
+    if not border > 0.0:
+        return ()
+    outer = enumerate(surface["outer_asphere"][: surface["outer_terms"]])
+    return (
+        Zone(0.0, border, 0.0, float(surface["curvature"]), float(surface["conic"]), powers_of(surface)),
+        Zone(
+            border, np.inf, float(surface["outer_offset"]), float(surface["outer_curvature"]),
+            float(surface["outer_conic"]), [(4 + 2 * n, float(a)) for n, a in outer],
+        ),
+    )  # fmt: skip
+
+
+def kink_of(surface: Any, radius: float) -> float:
+    """Return the largest jump of a surface's slope inside a radius, mm, in magnitude; 0 without zones."""
+    jumps = [max(-least, most) for border, (least, most) in kinks(zones_of(surface)) if border < radius]
+    return max(jumps, default=0.0)
+
+
 def range_on_circles(surface: Any, low: Array, high: Array, order: int) -> Range:
     """Return the range of a profile's sag, or of a derivative, between radii.
 
@@ -101,6 +123,8 @@ def range_on_circles(surface: Any, low: Array, high: Array, order: int) -> Range
     order : int
         See `profile_range`.
     """
+    if zones := zones_of(surface):
+        return zones_range(zones, (low, high), order)
     curvature = np.full_like(low, surface["curvature"])
     return profile_range((curvature,) * 2, float(surface["conic"]), powers_of(surface), (low, high), order)
 
@@ -201,8 +225,32 @@ def _without_bounds(surface: Any) -> NotImplementedError:
 
 
 def _of_revolution(surface: Any, radius: float, orders: tuple[int, ...], within: float) -> tuple[float, float]:
+    if zones := zones_of(surface):
+        return _of_zones(zones, radius, orders, within)
     curvature, conic = float(surface["curvature"]), float(surface["conic"])
     return profile_extremes((curvature, curvature), conic, powers_of(surface), radius, orders, within)
+
+
+def _of_zones(
+    zones: tuple[Zone, ...], radius: float, orders: tuple[int, ...], within: float
+) -> tuple[float, float]:  # fmt: skip
+    """Return bounds of quantities of a profile in zones inside a radius, mm.
+
+    A second derivative does not exist on a border. There the jump of the slope over the border's radius counts: it
+    shows that the surface is not convex or not concave, and `first_crossing` takes each zone by itself.
+    """
+    found = []
+    for zone in zones:
+        if zone.inner < radius:
+
+            def ranges_in(low: Array, high: Array, zone: Zone = zone) -> Range:
+                parts = [zone_range(zone, (low[:, 0], high[:, 0]), order) for order in orders]
+                return np.min([part[0] for part in parts], axis=0), np.max([part[1] for part in parts], axis=0)
+
+            found.append(extremes(ranges_in, [zone.inner], [min(zone.outer, radius)], within))
+    if ALONG in orders:
+        found += [(least / at, most / at) for at, (least, most) in kinks(zones) if at < radius]
+    return min(least for least, _ in found), max(most for _, most in found)
 
 
 def _height_cells(surface: Any, radius: float) -> tuple[Callable[[Array, Array], Range], list[Line]]:

@@ -1,4 +1,4 @@
-"""The first crossing of a ray with a surface z(x, y), by steps that miss none."""
+"""The first crossing of a ray with a surface z(x, y), of one or of two zones, by steps that miss none."""
 
 from typing import Any
 
@@ -73,5 +73,68 @@ def crossing_finder(shape_at: Any) -> Any:
             if not t <= end:
                 return False, 0.0
         return False, 0.0
+
+    return first_crossing
+
+
+def crossing_finder_over_zones(zone_at: Any) -> Any:
+    """Make the kernel that finds first crossings with surfaces of an inner and an outer zone.
+
+    Parameters
+    ----------
+    zone_at : kernel
+        Called as ``zone_at(surface, outer, x, y)``; returns the sag of a zone's formula, and its slopes, also beside
+        the zone.
+
+    Returns
+    -------
+    first_crossing : kernel
+        As from `crossing_finder`. The surface has its `border`.
+    """
+
+    @kernel
+    def shape_at(zone: tuple[Any, int], x: float, y: float) -> tuple[float, float, float]:
+        surface, outer = zone
+        return zone_at(surface, outer, x, y)
+
+    in_zone = crossing_finder(shape_at)
+
+    @kernel
+    def of_zone(
+        surface: Any, outer: int, ray: Ray, side: float, most: float, limits: tuple[float, float]
+    ) -> tuple[bool, float]:
+        return in_zone((surface, outer), ray, side, most, limits[0], limits[1])
+
+    @kernel
+    def first_crossing(
+        surface: Any, ray: Ray, side: float, most: float, begin: float, end: float
+    ) -> tuple[bool, float]:
+        """Return whether a ray crosses a surface of two zones, and the distance of the first crossing.
+
+        The cylinder through the border divides the ray into parts within one zone, where no kink breaks the bound.
+
+        Parameters
+        ----------
+        surface, ray, side, most, begin, end
+            As for the function made by `crossing_finder`; `most` bounds both zones.
+        """
+        x, y, _, dx, dy, _ = ray
+        a, b, c = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y - surface.border * surface.border
+        low, high = end, end
+        if a > 0.0:
+            root = b * b - a * c
+            if root > 0.0:
+                low, high = (-b - np.sqrt(root)) / a, (np.sqrt(root) - b) / a
+        elif c <= 0.0:
+            low = begin
+        low, high = min(max(low, begin), end), min(max(high, begin), end)
+        met, t = False, 0.0
+        if begin < low:
+            met, t = of_zone(surface, 1, ray, side, most, (begin, low))
+        if not met and low < high:
+            met, t = of_zone(surface, 0, ray, side, most, (low, high))
+        if not met and high < end:
+            met, t = of_zone(surface, 1, ray, side, most, (high, end))
+        return met, t
 
     return first_crossing

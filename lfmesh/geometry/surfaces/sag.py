@@ -28,22 +28,35 @@ def _need_revolved(surface: Any) -> None:
 
 def _curve(surface: Any, r: Array) -> tuple[Array, Array]:
     """Return z and dz/dr from the curvature, conic constant and terms; NaN where the conic does not reach."""
+    numbers = surface["curvature"], surface["conic"], surface["asphere"][: surface["terms"]]
+    z, rate = _even_curve(*numbers, r)
     r2 = r * r
-    c, k = surface["curvature"], surface["conic"]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)
-        z, rate = c * r2 / (1.0 + root), c * r / root
-    power = r2
-    for term, a in enumerate(surface["asphere"][: surface["terms"]]):
-        rate = rate + (2 * term + 4) * a * (r * power)
-        power = power * r2
-        z = z + a * power
     power = np.abs(r)
     for term, a in enumerate(surface["odd"][: surface["odd_terms"]]):
         rate = rate + (2 * term + 3) * a * (r * power)
         power = power * r2
         z = z + a * power
+    if surface["border"] > 0.0:
+        outer = surface["outer_curvature"], surface["outer_conic"], surface["outer_asphere"][: surface["outer_terms"]]
+        beyond, its_rate = _even_curve(*outer, r)
+        outside = r2 > surface["border"] ** 2
+        z = np.where(outside, beyond + surface["outer_offset"], z)
+        rate = np.where(outside, its_rate, rate)
     return np.asarray(z), np.asarray(rate)
+
+
+def _even_curve(c: float, conic: float, asphere: Array, r: Array) -> tuple[Array, Array]:
+    """Return z and dz/dr of a conic and even terms."""
+    r2 = r * r
+    with np.errstate(invalid="ignore", divide="ignore"):
+        root = np.sqrt(1.0 - (1.0 + conic) * c * c * r2)
+        z, rate = c * r2 / (1.0 + root), c * r / root
+    power = r2
+    for term, a in enumerate(asphere):
+        rate = rate + (2 * term + 4) * a * (r * power)
+        power = power * r2
+        z = z + a * power
+    return z, rate
 
 
 def heights(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
@@ -115,9 +128,11 @@ def normals(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
 
 def reach(surface: Any) -> float:
     """Return the largest radius inside which the surface exists everywhere, mm; inf if it has no rim of its own."""
-    own = 0.0
-    if surface["curvature"] != 0.0:
-        own = max(own, float((1.0 + surface["conic"]) * surface["curvature"] ** 2))
+    own, c, conic = 0.0, surface["curvature"], surface["conic"]
+    if surface["border"] > 0.0:
+        c, conic = surface["outer_curvature"], surface["outer_conic"]
+    if c != 0.0:
+        own = max(own, float((1.0 + conic) * c**2))
     if surface["kind"] == BICONIC:
         own = max(own, float((1.0 + surface["conic_x"]) * surface["curvature_x"] ** 2))
     return min(float(1.0 / np.sqrt(own)) if own > 0.0 else np.inf, float(surface["end"]))

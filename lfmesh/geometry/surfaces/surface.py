@@ -6,7 +6,8 @@ record per refracting surface. The sag of a surface of revolution is
     z(r) = c r² / (1 + sqrt(1 − (1 + k) c² r²)) + a₄ r⁴ + a₆ r⁶ + ... + b₃ r³ + b₅ r⁵ + ...
 
 with curvature c = 1 / radius and conic constant k (ISO 10110-12). A biconic has a curvature and a conic constant in x
-and in y. In a toroid the curve z(y) turns about a line parallel to y, at the radius 1 / c_x behind the vertex.
+and in y. In a toroid the curve z(y) turns about a line parallel to y, at the radius 1 / c_x behind the vertex. Outside
+the border of an outer zone, z(r) has other numbers and an offset, so that it continues without a step.
 
 Beyond the end of a surface other than a conic, `form_at` continues without a step: a root search needs heights
 everywhere.
@@ -19,15 +20,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.ray import Ray
-from lfmesh.geometry.surfaces.first_crossing import crossing_finder
+from lfmesh.geometry.surfaces.first_crossing import crossing_finder, crossing_finder_over_zones
 from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.optics.zones import Zone
 from lfmesh.scene.camera.lens import Surface
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 MAX_ASPHERE_TERMS = MOST_ASPHERE_TERMS
 
 CONIC_AND_EVEN, WITH_ODD, BICONIC, TOROID = range(4)
-"""Kinds of surfaces: the first two are surfaces of revolution."""
+"""Kinds of surfaces: the first two are surfaces of revolution. WITH_ODD has odd terms or an outer zone."""
 
 Array = NDArray[np.float64]
 
@@ -54,6 +56,13 @@ SURFACE = np.dtype(
         ("posed", "i8"),  # 1: displaced from its place in the prescription
         ("pose", "f8", (3, 4)),  # from the prescription, with the vertex at (0, 0, vertex_z), to the actual place
         ("unpose", "f8", (3, 4)),  # the inverse
+        # Outer zone of a surface of the kind WITH_ODD; `curvature` and the like are then of the inner one.
+        ("border", "f8"),  # radius at which it begins; 0: none
+        ("outer_curvature", "f8"),
+        ("outer_conic", "f8"),
+        ("outer_asphere", "f8", (MAX_ASPHERE_TERMS,)),
+        ("outer_terms", "i8"),
+        ("outer_offset", "f8"),
     ]
 )
 
@@ -141,7 +150,17 @@ def surface_of(of: Surface, **where: Any) -> np.void:
     record = surface(of.vertex_radius_mm, of.vertex_conic, of.terms_mm, odd_mm=of.odd_asphere_mm, **shape, **where)
     if of.toroid is not None:
         record["end"] = of.reach_mm
+    if of.outer_zone is not None:
+        _put_outer_zone(record, of.outer_zone.zones(of)[1])
     return record
+
+
+def _put_outer_zone(record: Any, zone: Zone) -> None:
+    """Enter the outer zone of a surface of revolution in its record."""
+    record["kind"], record["terms"] = WITH_ODD, max(int(record["terms"]), 1)
+    record["border"], record["outer_offset"], terms = zone.inner, zone.offset, [a for _, a in zone.powers]
+    record["outer_curvature"], record["outer_conic"] = zone.curvature, zone.conic
+    record["outer_asphere"][: len(terms)], record["outer_terms"] = terms, len(terms)
 
 
 def is_revolved(surface: Any) -> bool:
@@ -198,8 +217,18 @@ def form_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
         return _biconic_at(s.curvature_x, s.conic_x, s.curvature, s.conic, x, y)
     if s.kind == TOROID:
         return _toroid_at(s, x, y)
+    outer = 1 if s.border > 0.0 and x * x + y * y > s.border * s.border else 0
+    return _zone_at(s, outer, x, y)
+
+
+@inlined
+def _zone_at(s: Any, outer: int, x: float, y: float) -> tuple[float, float, float]:
+    """Return z, dz/dx and dz/dy by the formula of a surface's inner (0) or outer (1) zone, inside the zone or not."""
     r2 = x * x + y * y
-    z, g = _even_curve_at(s, r2)
+    if outer > 0:
+        z, g = _even_curve(s.outer_curvature, s.outer_conic, s.outer_asphere, s.outer_terms, r2)
+        return z + s.outer_offset, g * x, g * y
+    z, g = _even_curve(s.curvature, s.conic, s.asphere, s.terms, r2)
     r = np.sqrt(r2)
     for i in range(s.odd_terms):
         g += (2 * i + 3) * s.odd[i] * r
@@ -209,17 +238,16 @@ def form_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
 
 
 @kernel
-def _even_curve_at(s: Any, r2: float) -> tuple[float, float]:
-    """Return z and (dz/dr) / r of the conic and the even terms at r²."""
-    c = s.curvature
-    root2 = 1.0 - (1.0 + s.conic) * c * c * r2
+def _even_curve(c: float, conic: float, asphere: Array, terms: int, r2: float) -> tuple[float, float]:
+    """Return z and (dz/dr) / r of a conic and even terms at r²."""
+    root2 = 1.0 - (1.0 + conic) * c * c * r2
     root = np.sqrt(root2) if root2 > 0.0 else 0.0
     z, g = c * r2 / (1.0 + root), (c / root if root2 > 0.0 else 2.0 * c)
     power = r2
-    for i in range(s.terms):
-        g += (2 * i + 4) * s.asphere[i] * power
+    for i in range(terms):
+        g += (2 * i + 4) * asphere[i] * power
         power *= r2
-        z += s.asphere[i] * power
+        z += asphere[i] * power
     return z, g
 
 
@@ -240,7 +268,7 @@ def _biconic_at(cx: float, kx: float, cy: float, ky: float, x: float, y: float) 
 @kernel
 def _toroid_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
     """Return z, dz/dx and dz/dy of a toroid: with the curve f(y), c_x ((z − f)² + 2 f (z − f) + x²) = 2 (z − f)."""
-    f, g = _even_curve_at(s, y * y)
+    f, g = _even_curve(s.curvature, s.conic, s.asphere, s.terms, y * y)
     cx = s.curvature_x
     u = 1.0 - cx * f
     root2 = u * u - cx * cx * x * x
@@ -405,6 +433,7 @@ def _searcher(height_at: Any, rate_at: Any) -> Any:
 
 
 _first_crossing = crossing_finder(form_at)
+_first_over_zones = crossing_finder_over_zones(_zone_at)
 
 
 @kernel
@@ -441,6 +470,8 @@ def first_crossing(s: Any, ray: Ray, sense: float, begin: float, end: float, in_
         # It comes from beside the surface, on the wrong side for this crossing.
         return False, 0.0
     most = a * max(-s.least_bend if sense > 0.0 else s.most_bend, 0.0)
+    if s.border > 0.0:
+        return _first_over_zones(s, ray, sense, most, begin, end)
     return _first_crossing(s, ray, sense, most, begin, end)
 
 

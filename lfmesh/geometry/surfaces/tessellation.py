@@ -119,6 +119,8 @@ def steepness(surface: Any, r: ArrayLike) -> Array:
 def ring_radii(surface: Any, rings: int, rim: float) -> Array:
     """Return (rings + 1,) radii equally spaced along the meridian's arc, so that steep rims get their share.
 
+    The one nearest to the border of an outer zone moves there.
+
     Parameters
     ----------
     surface : SURFACE record
@@ -135,6 +137,8 @@ def ring_radii(surface: Any, rings: int, rim: float) -> Array:
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(fine), rise))])
     radii = np.interp(np.linspace(0.0, arc[-1], rings + 1), arc, fine)
     radii[-1] = rim
+    if 0.0 < surface["border"] < rim and rings > 1:
+        radii[1 + np.abs(radii[1:-1] - surface["border"]).argmin()] = surface["border"]
     return radii
 
 

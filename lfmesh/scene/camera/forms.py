@@ -1,4 +1,4 @@
-"""Base class of surface shapes without rotational symmetry, and the surface as it sees it."""
+"""Base class of surface shapes other than one profile of revolution, and the surface as it sees it."""
 
 import math
 from collections.abc import Hashable
@@ -72,7 +72,7 @@ class SurfaceShape(Hashable, Protocol):
 
 
 class Form(Model):
-    """A surface shape without rotational symmetry; by default with the properties of the y–z section."""
+    """A surface shape other than one profile of revolution; by default with the properties of the y–z section."""
 
     symmetric: ClassVar[bool] = False
     """True if it is symmetric about x and y, so that one quadrant describes it."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 
-from lfmesh.scene.camera.gradient_faults import BESIDE_GRADIENT, rough_beside_gradient
+from lfmesh.scene.camera.gradient_faults import BESIDE_GRADIENT, ZONES_BESIDE_GRADIENT, rough_beside_gradient
 from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.model import Fault, Location
 
@@ -41,3 +41,5 @@ def gap_faults(surfaces: Sequence[Surface], element_of: Callable[[int], int | No
             yield from rough_beside_gradient(surfaces[k].finish, ("surfaces", k, "finish"))
             if surfaces[k].phase is not None:
                 yield Fault(("surfaces", k, "phase"), None, BESIDE_GRADIENT)
+            if surfaces[k].outer_zone is not None:
+                yield Fault(("surfaces", k, "outer_zone"), None, ZONES_BESIDE_GRADIENT)

@@ -7,6 +7,7 @@ from lfmesh.scene.materials.finishes import Finish
 from lfmesh.scene.model import Fault, Location
 
 BESIDE_GRADIENT = "omit it: a phase is not traced on a face of gradient glass, whose index depends on the place"
+ZONES_BESIDE_GRADIENT = "omit it: a curved path through gradient glass must end on a face without a kink"
 
 
 def gradient_beside(gradient: Gradient | None, index: float | None, glass: object | None) -> Iterator[Fault]:

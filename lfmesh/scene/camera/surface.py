@@ -13,6 +13,7 @@ from lfmesh.optics.glass import AIR, Medium
 from lfmesh.scene.camera.forms import Form, Heights, reach_of_conic_mm
 from lfmesh.scene.camera.gradient import AnyGradient
 from lfmesh.scene.camera.gradient_faults import gradient_beside
+from lfmesh.scene.camera.outer_zone import OuterZone
 from lfmesh.scene.camera.phase import AnyPhase
 from lfmesh.scene.camera.qbfs import EvenForm, Qbfs
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS, Qcon, within_floats
@@ -87,6 +88,9 @@ class Surface(Model):
     """Circle in the section x–z, such as { radius_x_mm = 40.0 }: the section y–z turns about a line parallel to y.
     `radius_mm`, `conic` and `asphere_mm` (of y⁴, y⁶, ...) then describe the section y–z. An infinite radius extrudes it
     along x into a cylinder."""
+    outer_zone: OuterZone | None = None
+    """Zone with a shape of its own outside a border, such as { border_mm = 1.25, radius_mm = 3.2 }. `radius_mm`,
+    `conic` and `asphere_mm` then describe the zone inside. Omitted: one shape."""
 
     phase: AnyPhase | None = None
     """Phase of a diffractive surface, such as { kind = "radial", coefficients_rad = [-120.0], radius_mm = 5.0 }. It
@@ -240,6 +244,8 @@ class Surface(Model):
     def sag_mm(self, height_mm: Heights) -> Heights:
         """Return the sag at a height from the axis; for a biconic or toroid, in the y–z section.
 
+        Beyond the border of an `outer_zone`, it is that of the zone.
+
         ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4) + Σ B_j r^(2j+3), with `terms_mm` and
         `odd_asphere_mm`.
 
@@ -252,6 +258,8 @@ class Surface(Model):
         float or array
             mm.
         """
+        if self.outer_zone is not None:
+            return self.outer_zone.profile_mm(self, height_mm)
         c, r2 = self.curvature_per_mm, height_mm * height_mm
         root = np.sqrt(np.maximum(0.0, 1 - (1 + self.vertex_conic) * c * c * r2))
         terms = (_term_mm(a, height_mm, power) for power, a in self.powers_mm)
@@ -293,6 +301,8 @@ class Surface(Model):
             yield from self._qbfs_faults(self.qbfs)
         for key, form in self.forms.items():
             yield from self._form_faults(key, form)
+        if self.outer_zone is not None and self.section_key == "outer_zone":
+            yield from self.outer_zone.faults_on(self)
         if self.semi_diameter_mm is not None and self.semi_diameter_mm > self.reach_mm * (1 + 1e-12):
             yield Fault(
                 ("semi_diameter_mm",),
@@ -366,7 +376,8 @@ class Surface(Model):
             yield Fault((key,), None, f"{self.section_key} is given too; give one of them")
         for name, value in self._given_beside():
             if name in form.without:
-                why = f"a {key} has no such terms" if isinstance(value, tuple) else f"it does not go with a {key}"
+                what = f"an {key}" if key.startswith("o") else f"a {key}"
+                why = f"{what} has no such terms" if isinstance(value, tuple) else f"it does not go with {what}"
                 yield Fault((name,), value, f"omit it: {why}")
 
     def _given_beside(self, *allowed: str) -> Iterator[tuple[str, object]]:

@@ -278,6 +278,8 @@ def _meet(surface: Surface, y: float, z: float, slope: float) -> tuple[float, fl
 
 def _slope(surface: Surface, height: float) -> float:
     """Return the derivative of the sag."""
+    if surface.outer_zone is not None:
+        return surface.outer_zone.zone_at(surface, height).slope(height)
     c = surface.curvature_per_mm
     root = math.sqrt(max(1e-300, 1 - (1 + surface.vertex_conic) * c * c * height * height))
     terms = (power * a * abs(height) ** (power - 1) for power, a in surface.powers_mm)

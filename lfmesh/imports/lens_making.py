@@ -202,6 +202,14 @@ def _shape(surface: FileSurface, unit: float) -> dict[str, object]:
     if surface.section is not None:
         across: dict[str, float] = {"radius_x_mm": shortest_radius(surface.curvature_x / unit)}
         values[surface.section] = across | ({"conic_x": surface.conic_x} if surface.section == "biconic" else {})
+    if surface.outer_zone is not None:
+        border, curvature, conic, terms = surface.outer_zone
+        values["outer_zone"] = {
+            "border_mm": border * unit,
+            "radius_mm": shortest_radius(curvature / unit),
+            "conic": conic,
+            "asphere_mm": tuple(a * unit ** (-2 * j - 3) for j, a in enumerate(terms)),
+        }
     if surface.forbes is not None:
         kind, norm_radius, terms = surface.forbes
         scaled = tuple(term * unit for term in terms)

@@ -32,6 +32,31 @@ def radial(coefficients_rad: Sequence[float], radius_mm: float, order: int) -> P
     return {"kind": "radial", "coefficients_rad": terms, "radius_mm": radius_mm, "order": order}
 
 
+def zones(parts: Sequence[tuple[Sequence[float], float]], border_mm: float, offset_rad: float, order: int) \
+        -> PhaseKeys | None:  # fmt: skip
+    """Return a phase of two zones, Σ A_i (r/radius)^(2i) in each; None if it turns no light.
+
+    Parameters
+    ----------
+    parts : sequence of two
+        Coefficients in rad, and radius in mm, of the inner and the outer zone.
+    border_mm : float
+    offset_rad : float
+        Constant phase of the outer zone.
+    order : int
+    """
+    if not order or not any(any(coefficients) for coefficients, _ in parts):
+        return None
+    tables: list[PhaseKeys] = []
+    for coefficients, radius_mm in parts:
+        terms = list(coefficients) or [0.0]
+        while len(terms) > 1 and not terms[-1]:
+            terms.pop()
+        tables.append({"coefficients_rad": terms, "radius_mm": radius_mm})
+    tables[0]["border_mm"], tables[1]["offset_rad"] = border_mm, offset_rad
+    return {"kind": "zones", "zones": tables, "order": order}
+
+
 def xy(coefficients_rad: Mapping[tuple[int, int], float], radius_mm: float, order: int) -> PhaseKeys | None:
     """Return a phase Σ A (x/radius)^i (y/radius)^j; None if it has no effect.
 

@@ -28,6 +28,10 @@ MOST_CONFIGURATIONS = 1000
 """More configurations than any file has."""
 
 
+OuterShape = tuple[float, float, float, list[float]]
+"""Border, curvature, conic constant and coefficients of r⁴, r⁶, ... of an outer zone."""
+
+
 @dataclass
 class FileSurface:
     """Surface as in the file, lengths in the file's unit."""
@@ -61,6 +65,8 @@ class FileSurface:
     """"biconic" or "toroid" if the x–z section differs; the other shape is that of y–z."""
     curvature_x: float = 0.0
     conic_x: float = 0.0
+    outer_zone: OuterShape | None = None
+    """Zone with another shape, which continues the inner one without a step."""
     aperture: float | None = None
     """Radius beyond which the file's program blocks light."""
     extent: float | None = None
@@ -87,7 +93,7 @@ class FileSurface:
     def is_flat(self) -> bool:
         """True for a plane."""
         terms = (self.curvature, self.curvature_x, self.square, *self.asphere, *self.odd)
-        return not any(terms) and self.forbes is None
+        return not any(terms) and self.forbes is None and self.outer_zone is None
 
     @property
     def vertex_curvature(self) -> float:

@@ -5,8 +5,9 @@ converges. The radii that OpticStudio's samples store for their images confirm e
 
 - BINARY_1: m Σ A_i E_i(x/R, y/R), E_i = x, y, x², x y, ... (sample sc_diffract3).
 - BINARY_2: m Σ A_i (r/R)^(2i) (samples Achromatic singlet, sc_diffract2).
-- BINARY_3: two zones of BINARY_2, the inner one up to A₁, with R = A₁ and A₂ (OpticStudio's help, 24.2, "Binary 3";
-  the sample Dual Zone CD-DVD lens focuses in its inner zone).
+- BINARY_3: two zones of BINARY_2, the inner one up to A₁, with R = A₁ and A₂ (OpticStudio's help, 24.2, "Binary 3").
+  The outer one is shifted along z to join the inner one, unless its break is 1. In the sample Dual Zone CD-DVD lens
+  both zones focus. Its merit function calls parameter 7 the phase offset, and keeps it at 0.
 - DGRATING: 2π m T y, T lines per µm (a flat and a curved grating in the tests of optiland).
 - FZERNPHA: 2π m Σ A_i Z_i(x/R, y/R) with fringe Zernike polynomials: A_i are in waves (sample sc_zern2).
 - HOLOGRM2: −(2π/λ_c) m (d₁ + d₂): order 1 turns light from point 1 into light towards point 2 (sample Transmission
@@ -20,15 +21,16 @@ the coefficients.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from lfmesh.imports import phase_keys
 from lfmesh.imports.numbers import nanometres
 from lfmesh.imports.phase_keys import CURVED_HOLOGRAM, PhaseKeys, whole_order
-from lfmesh.imports.prescription import Prescription
+from lfmesh.imports.prescription import OuterShape, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.xy_terms import MOST_FRINGE_TERMS, fringe_terms, powers_of
 from lfmesh.imports.zemax_lines import SurfaceLines, UnreadableLineError
+from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 from lfmesh.scene.quantities import LARGEST
 
 ASPHERIC = ("BINARY_1", "BINARY_2")
@@ -45,9 +47,15 @@ SAME = 1e-12
 _PER_ZONE = 4
 """Extra data of BINARY_3 for each power: its coefficients of sag and phase in the inner, then in the outer zone."""
 
+PHASE_OFFSET, _BREAK = 7, 8
+"""Parameters of BINARY_3: the phase offset of the outer zone, and 1 to leave a step between the zones."""
+
 _AS_HOLOGRAM_2 = (
     "the sign of its order is taken as in HOLOGRM2: order 1 turns light from point 1 into light from point 2"
 )
+
+
+_AS_OFFSET = "taken as a constant phase of the outer zone, in rad, which turns no ray; its sign was not confirmed"
 
 
 class PhaseLines(SurfaceLines):
@@ -69,6 +77,9 @@ class PhaseLines(SurfaceLines):
             return
         for place, value in self.parameters.items():
             unused = self.kind == "FZERNPHA" and place == 1 and not self._reaches_beyond
+            if self.kind == "BINARY_3" and place == PHASE_OFFSET and value.number:
+                report.add(value.at, value.text, Verdict.APPROXIMATED, _AS_OFFSET)
+                continue
             report.add(value.at, value.text, Verdict.WITHOUT_EFFECT if unused else Verdict.TAKEN)
         counted = self.extra_number(1) * (_PER_ZONE if self.kind == "BINARY_3" else 1)
         first = 2 if self.kind == "BINARY_3" else 3
@@ -159,33 +170,67 @@ def _binary_2(lines: PhaseLines, unit_mm: float) -> PhaseKeys | None:
 
 
 def _binary_3(lines: PhaseLines, unit_mm: float) -> PhaseKeys | None:
-    """Return the phase of BINARY_3 and put its terms into the surface; UnreadableLineError unless its zones are equal.
+    """Return the phase of BINARY_3, and put the shapes of its zones into the surface.
 
     Parameters 1 and 2 are radius and conic constant of the outer zone, 3 and 4 the radii A₁ and A₂, 5 and 6 the orders
-    of both zones; the extra data hold the coefficients of sag and phase of both zones, power by power.
+    of both zones, 7 the phase offset of the outer zone and 8 its break; the extra data hold the coefficients of sag and
+    phase of both zones, power by power.
     """
-    lines.only(range(1, 7))
-    surface, count = lines.surface, lines.count
+    lines.only(range(1, 9))
+    surface = lines.surface
     radii = [lines.needed(place, "the radius of a zone") for place in (3, 4)]
     for radius in radii:
         if not radius.number > 0.0:
             raise lines.error("the radius of a zone must be above 0", radius)
-    inner, outer = ([[surface.curvature, surface.conic]], [[_curvature(lines.parameter(1)), lines.parameter(2)]])
-    for k in range(count):
-        sags = [lines.extra.get(place) for place in range(2 + _PER_ZONE * k, 2 + _PER_ZONE * (k + 1))]
-        values = [0.0 if value is None else value.number for value in sags]
-        inner.append([values[0], values[1]])
-        outer.append([values[2], values[3] * _power(radii[0].number / radii[1].number, 2 * k + 2)])
-    orders = [lines.order(place) for place in (5, 6)]
-    pairs = [pair for one, other in zip(inner, outer, strict=True) for pair in zip(one, other, strict=True)]
-    if orders[0] != orders[1] or not all(math.isclose(*pair, rel_tol=SAME) for pair in pairs):
-        raise lines.error("BINARY_3 has two zones, whose shapes and phases differ here; only equal zones are supported")
-    for k, (sag, _) in enumerate(inner[1:], 1):
+    columns = [
+        [lines.extra_number(2 + _PER_ZONE * k + column) for k in range(lines.count)] for column in range(_PER_ZONE)
+    ]
+    sags, phases, outer_sags, outer_phases = columns
+    shape = [surface.curvature, surface.conic, *sags]
+    outer_shape = [_curvature(lines.parameter(1)), lines.parameter(2), *outer_sags]
+    if not _alike(shape, outer_shape):
+        surface.outer_zone = _outer_shape(lines, radii[0].number, outer_shape)
+    for k, sag in enumerate(sags):
         try:
-            surface.add_term(2 * k, sag)
+            surface.add_term(2 * k + 2, sag)
         except ValueError as error:
-            raise lines.error(str(error), lines.extra[_PER_ZONE * k - 2]) from None
-    return phase_keys.radial([phase for _, phase in inner[1:]], radii[0].number * unit_mm, orders[0])
+            raise lines.error(str(error), lines.extra[_PER_ZONE * k + 2]) from None
+    (order, outer_order), ratio = (lines.order(place) for place in (5, 6)), radii[0].number / radii[1].number
+    offset, border_mm = lines.parameter(PHASE_OFFSET), radii[0].number * unit_mm
+    rescaled = [value * _power(ratio, 2 * k + 2) for k, value in enumerate(outer_phases)]
+    if order == outer_order and not offset and _alike(phases, rescaled):
+        return phase_keys.radial(phases, border_mm, order)
+    if order != outer_order:
+        # A scene's phase has the same orders everywhere: order 1 of phases multiplied by the orders.
+        phases, outer_phases = [order * value for value in phases], [outer_order * value for value in outer_phases]
+        order = 1
+    parts = (phases, border_mm), (outer_phases, radii[1].number * unit_mm)
+    return phase_keys.zones(parts, border_mm, offset / order if order else 0.0, order)
+
+
+def _alike(one: Sequence[float], other: Sequence[float]) -> bool:
+    return all(math.isclose(*pair, rel_tol=SAME) for pair in zip(one, other, strict=True))
+
+
+def _outer_shape(lines: PhaseLines, border: float, shape: Sequence[float]) -> OuterShape:
+    """Return the outer zone of BINARY_3, in the file's unit, from its curvature, conic constant and terms of r², ..."""
+    if lines.parameter(_BREAK):
+        why = "the break leaves a step between the zones; only zones that join are supported"
+        raise lines.error(why, lines.parameters[_BREAK])
+    curvature, conic, *terms = shape
+    square = terms[0] if terms else 0.0
+    if square and (1.0 + conic) * curvature:
+        why = "a term in r² of the outer zone needs a flat or parabolic conic; put it into the radius"
+        raise lines.error(why, lines.extra[2 + 2])
+    if square:
+        curvature, conic = curvature + 2.0 * square, -1.0
+    coefficients = terms[1:]
+    while coefficients and not coefficients[-1]:
+        coefficients.pop()
+    if len(coefficients) > MOST_ASPHERE_TERMS:
+        power, at = 2 * len(coefficients) + 2, 2 + 2 + _PER_ZONE * len(coefficients)
+        raise lines.error(f"a term in r^{power}: aspheres reach up to r^{2 * MOST_ASPHERE_TERMS + 2}", lines.extra[at])
+    return border, curvature, conic, coefficients
 
 
 def _grating(lines: PhaseLines, _: float) -> PhaseKeys | None:

@@ -115,6 +115,11 @@ def single(**keys: Any) -> lf.Lens:
 RADIAL = {"kind": "radial", "coefficients_rad": [-10.0], "radius_mm": 4.0}
 GRATING = {"kind": "grating", "lines_per_mm": 5.0, "direction_deg": 90.0}
 METALENS = {"kind": "metalens", "focal_length_mm": 20.0, "design_nm": 550.0}
+ZONES = {
+    "kind": "zones",
+    "zones": [{"border_mm": 1.0, "coefficients_rad": [-5.0], "radius_mm": 1.0},
+              {"coefficients_rad": [-9.0], "radius_mm": 4.0}],
+}  # fmt: skip
 HOLOGRAM = {
     "kind": "hologram",
     "point_1_mm": (0.0, 0.0, -90.0),
@@ -128,6 +133,16 @@ HOLOGRAM = {
     [
         (".zmx", {"phase": METALENS}, "surfaces[1].phase: a Zemax file cannot hold a phase of kind metalens"),
         (".seq", {"phase": METALENS}, "surfaces[1].phase: a CODE V file cannot hold a phase of kind metalens"),
+        (".zmx", {"phase": ZONES}, "surfaces[1].phase: a Zemax file cannot hold a phase of kind zones"),
+        (".seq", {"phase": ZONES}, "surfaces[1].phase: a CODE V file cannot hold a phase of kind zones"),
+        (
+            ".zmx", {"outer_zone": {"border_mm": 1.0, "radius_mm": -40.0}},
+            "surfaces[1].outer_zone: not written to Zemax files",
+        ),
+        (
+            ".seq", {"outer_zone": {"border_mm": 1.0, "radius_mm": -40.0}},
+            "surfaces[1].outer_zone: not written to CODE V files",
+        ),
         (".zmx", {"phase": {"kind": "grid", "file": "phase.npz"}}, "a Zemax file cannot hold a phase of kind grid"),
         (".seq", {"phase": {"kind": "grid", "file": "phase.npz"}}, "a CODE V file cannot hold a phase of kind grid"),
         (

@@ -166,16 +166,81 @@ def test_equal_zones_are_one():
     np.testing.assert_allclose(values_of(surface.phase), -10.0 * r2 + r2**2, rtol=1e-12)
 
 
+def with_zones(**new):
+    """Return a lens with equal zones but for some lines, by their beginning with "_" for the space."""
+    new = {key.replace("_", " "): value for key, value in new.items()}
+    lines = [f"{key} {new.pop(key)}" if (key := line.rsplit(" ", 1)[0]) in new else line for line in BINARY_3]
+    return text_of("BINARY_3", *lines, *(f"{key} {value}" for key, value in new.items()))
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("MM", 1.0), ("IN", 25.4)])
+def test_zones_of_two_shapes_join_at_the_border(unit, mm):
+    """The outer zone is shifted by z₁(A₁) − z₂(A₁)."""
+    text = with_zones(PARM_1=30, PARM_2=0.2, XDAT_8="-4e-5").replace("UNIT MM", f"UNIT {unit}")
+    surface = lens_of(text).surfaces[0]
+    assert surface.phase.kind == "radial"
+
+    def sag(r, c, k, a):
+        return c * r**2 / (1.0 + math.sqrt(1.0 - (1.0 + k) * (c * r) ** 2)) + a * r**4
+
+    inner, outer = (0.02, -0.5, 1e-5), (1.0 / 30.0, 0.2, -4e-5)
+    for r in (0.0, 1.0, 2.0):
+        assert surface.sag_mm(r * mm) == pytest.approx(sag(r, *inner) * mm, rel=1e-12)
+    for r in (2.001, 3.0, 4.5):
+        wanted = sag(r, *outer) + sag(2.0, *inner) - sag(2.0, *outer)
+        assert surface.sag_mm(r * mm) == pytest.approx(wanted * mm, rel=1e-12)
+
+
 @pytest.mark.parametrize(
-    ("old", "new"),
-    [("PARM 1 50", "PARM 1 51"), ("PARM 2 -0.5", "PARM 2 0"), ("PARM 6 1", "PARM 6 0"), ("XDAT 9 81", "XDAT 9 80"),
-     ("XDAT 8 1e-5", "XDAT 8 2e-5"), ("PARM 4 3", "PARM 4 3.01")],
+    ("changes", "order", "inner", "outer"),
+    [
+        ({"XDAT_9": 80}, 1, (-40.0, 16.0), (-90.0, 80.0)), ({"PARM_4": 3.01}, 1, (-40.0, 16.0), (-90.0, 81.0)),
+        ({"PARM_6": 0}, 1, (-40.0, 16.0), (0.0,)), ({"PARM_5": -1, "PARM_6": 2}, 1, (40.0, -16.0), (-180.0, 162.0)),
+        ({"PARM_5": 2, "PARM_6": 2, "XDAT_7": 17}, 2, (-40.0, 17.0), (-90.0, 81.0)),
+    ],
 )  # fmt: skip
-def test_zones_that_differ_are_refused(old, new):
-    message = refusal_of(text_of("BINARY_3", *(new if line == old else line for line in BINARY_3)))
-    assert message.startswith(
-        "lens.zmx: line 14: TYPE BINARY_3: BINARY_3 has two zones, whose shapes and phases differ"
-    )
+def test_zones_of_two_phases_have_their_own_coefficients_and_orders(changes, order, inner, outer):
+    surface = lens_of(with_zones(**changes)).surfaces[0]
+    phase = surface.phase
+    assert (phase.kind, phase.main_order, surface.outer_zone) == ("zones", order, None)
+    assert [zone.coefficients_rad for zone in phase.zones] == [inner, outer]
+    assert [(zone.border_mm, zone.radius_mm) for zone in phase.zones] == [
+        (2.0, 2.0), (None, float(changes.get("PARM_4", 3))),
+    ]  # fmt: skip
+
+
+def test_a_phase_offset_is_a_constant_of_the_outer_zone():
+    text = with_zones(PARM_5=2, PARM_6=2, PARM_7=0.5)
+    assert [zone.offset_rad for zone in lens_of(text).surfaces[0].phase.zones] == [0.0, 0.25]
+    assert any("constant phase of the outer zone" in line.how for line in report_of(text).lines)
+    assert lens_of(with_zones(XDAT_3=0, XDAT_5=0, XDAT_7=0, XDAT_9=0, PARM_7=0.5)).surfaces[0].phase is None
+
+
+def test_a_term_in_r2_of_a_flat_outer_zone_is_a_parabola():
+    zone = lens_of(with_zones(PARM_1=0, PARM_2=0, XDAT_4=0.01)).surfaces[0].outer_zone
+    assert (zone.radius_mm, zone.conic, zone.asphere_mm) == (50.0, -1.0, (1e-5,))
+
+
+@pytest.mark.parametrize(
+    ("changes", "where", "reason"),
+    [
+        ({"PARM_1": 51, "PARM_8": 1}, "PARM 8 1", "the break leaves a step between the zones"),
+        ({"XDAT_4": 0.01}, "XDAT 4 0.01", "a term in r² of the outer zone needs a flat or parabolic conic"),
+        ({"PARM_3": 0}, "PARM 3 0", "the radius of a zone must be above 0"),
+        ({"PARM_5": 0.5}, "PARM 5 0.5", "order must be a whole number"),
+        ({"PARM_9": 1}, "PARM 9 1", "parameter 9 of BINARY_3 is unknown"),
+        ({"PARM_1": 1.5, "PARM_2": 0}, "surface 0 of the lens: outer_zone", "the zone ends 1.5 mm from the axis"),
+    ],
+)
+def test_zones_that_cannot_be_read_are_one_line(changes, where, reason):
+    message = refusal_of(with_zones(**changes))
+    assert where in message
+    assert reason in message
+    assert "\n" not in message
+
+
+def test_a_break_between_equal_shapes_leaves_no_step():
+    assert lens_of(with_zones(PARM_8=1)).surfaces[0].outer_zone is None
 
 
 def test_phases_without_effect_are_none():

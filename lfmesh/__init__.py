@@ -125,14 +125,17 @@ if TYPE_CHECKING:
         XyzGradient,
     )
     from lfmesh.scene.camera.lens import Element
+    from lfmesh.scene.camera.outer_zone import OuterZone
     from lfmesh.scene.camera.phase import (
         GratingPhase,
         GridPhase,
         HologramPhase,
         MetalensPhase,
         Order,
+        PhaseZone,
         RadialPhase,
         XyPhase,
+        ZonedPhase,
     )
     from lfmesh.scene.camera.qbfs import Qbfs
     from lfmesh.scene.camera.qcon import Qcon
@@ -265,9 +268,11 @@ __all__ = [
     "Optimum",
     "Order",
     "OrderCheckWarning",
+    "OuterZone",
     "OwnGlass",
     "Particles",
     "Paths",
+    "PhaseZone",
     "Photograph",
     "PictureWarning",
     "Plane",
@@ -316,6 +321,7 @@ __all__ = [
     "World",
     "XyPhase",
     "XyzGradient",
+    "ZonedPhase",
     "__version__",
     "all_in_focus",
     "analyse",
@@ -453,14 +459,17 @@ _HOMES = {
         "XyzGradient",
     ],
     "lfmesh.scene.camera.lens": ["Element"],
+    "lfmesh.scene.camera.outer_zone": ["OuterZone"],
     "lfmesh.scene.camera.phase": [
         "GratingPhase",
         "GridPhase",
         "HologramPhase",
         "MetalensPhase",
         "Order",
+        "PhaseZone",
         "RadialPhase",
         "XyPhase",
+        "ZonedPhase",
     ],
     "lfmesh.scene.camera.qbfs": ["Qbfs"],
     "lfmesh.scene.camera.qcon": ["Qcon"],

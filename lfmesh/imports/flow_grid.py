@@ -22,7 +22,7 @@ from lfmesh.geometry.files.mesh_file import MM_PER_UNIT
 from lfmesh.geometry.voxels import INDEX_QUANTITIES, MOST_VOXELS, QUANTITIES, VoxelGrid, voxel_grid
 from lfmesh.imports import vtk_child
 from lfmesh.optics.index_fields import field_table, index_field, indices_at
-from lfmesh.regular_file import why_no_file
+from lfmesh.regular_file import read_bytes, why_no_file
 from lfmesh.scene.memory import physical_memory_bytes
 
 Array = NDArray[np.float64]
@@ -165,7 +165,7 @@ def vti_bytes(grid: VoxelGrid) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "grid.vti"
         image.save(path)
-        return path.read_bytes()
+        return read_bytes(path)
 
 
 def _mm_per_unit(path: Path, units: str | None) -> float:

@@ -150,7 +150,17 @@ class Form(Model):
         return not any(np.any(self.ranges_in(surface, square, *turned)[0]) for turned in quarters)
 
     def curvature_x_per_mm(self, surface: SurfaceShape) -> float:
-        """Return the curvature at the vertex in the section x–z."""
+        """Return the curvature at the vertex in the section x–z.
+
+        Parameters
+        ----------
+        surface : Surface
+
+        Returns
+        -------
+        float
+            1/mm.
+        """
         return surface.curvature_per_mm
 
     def in_words(self) -> str:

@@ -38,6 +38,9 @@ from lfmesh.transport.tables.bending_fields import BendingFields, bending_at
 GRAIN = 1e-14
 """Shortest chord, over the coordinates of its start: rounding of a position."""
 
+SMALLEST = 1e-300
+"""Added to the rounding of a position, so that a chord from the origin has a length too; mm."""
+
 CONTACT = 1e-12
 """Distance behind the end of a chord, over the coordinates, up to which a hit still counts: from the node it might lie
 behind the start."""
@@ -214,7 +217,7 @@ def _find_chord(fields: BendingFields, packet: Any) -> None:
 @inlined
 def _grain(packet: Any) -> float:
     """Return the rounding of a packet's position, mm, above 0."""
-    return GRAIN * (abs(packet.x) + abs(packet.y) + abs(packet.z)) + 1e-300
+    return GRAIN * (abs(packet.x) + abs(packet.y) + abs(packet.z)) + SMALLEST
 
 
 @inlined

@@ -1,6 +1,6 @@
 """Rendering with this tree against rendering with another commit, in turns: what a change costs.
 
-    tools/bench against                                    the baseline, the demo's scene
+    tools/bench against                                    the baseline, first_light.toml
     tools/bench against HEAD~1 assets/scenes/lit_chart.toml --starts 10
 
 The other commit is checked out beside, and each of the two has a process of its own; they render the same scene file
@@ -154,7 +154,7 @@ def compared(scene: str, changes: dict[str, Any], given: argparse.Namespace, fol
 def main() -> None:
     own = parser("against", "Time this tree against another commit, in turns.")
     own.add_argument("commit", nargs="?", default=BASELINE, help=f"default: the baseline, {BASELINE}")
-    own.add_argument("scenes", nargs="*", help="scene files; default: the demo's")
+    own.add_argument("scenes", nargs="*", help="scene files; default: first_light.toml")
     own.add_argument("--pairs", type=whole, default=5, help="renders of each tree, for each start of its process")
     own.add_argument("--starts", type=whole, default=5, help="how often both processes are started")
     own.add_argument("--samples", type=whole, default=8)

@@ -3,9 +3,10 @@
     tools/bench elements
     tools/bench elements --samples 32 --rounds 15 --json figures.json
 
-The demo's scene is rendered with all reflections, on one thread. A plate of 12 mm stands in front of the lens, of a
-weak radial gradient or of its index on the axis; or the first face of the lens has a weak phase or none. Both scenes of
-a pair take about the same paths, so that the ratio of their times is the cost of the element. Building is left out.
+The scene first_light.toml is rendered with all reflections, on one thread. A plate of 12 mm stands in front of the
+lens, of a weak radial gradient or of its index on the axis; or the first face of the lens has a weak phase or none.
+Both scenes of a pair take about the same paths, so that the ratio of their times is the cost of the element. Building
+is left out.
 """
 
 import sys
@@ -52,7 +53,7 @@ class Pair:
 
 
 def demo(pixels: int, samples: int) -> lf.Scene:
-    """Return the demo's scene with all reflections, in a crop of the sensor."""
+    """Return the scene first_light.toml with all reflections, in a crop of the sensor."""
     return lf.load(asset_path("scenes/first_light.toml")).changed(
         {
             "camera.sensor.pixels": [pixels, pixels],

@@ -1,6 +1,6 @@
 """A light-field image to equal error: efficiency 1 / (MSE · t) of every way to estimate it.
 
-    tools/bench image                                 the demo's scene; then a small camera beside Mitsuba
+    tools/bench image                                 first_light.toml; then a small camera beside Mitsuba
     tools/bench image scene.toml --quick --json figures.json
 
 Two tables. In the first, on the scene itself: analog forward (one child by chance, nothing aimed), forward with

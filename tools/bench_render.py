@@ -1,6 +1,6 @@
 """Rendering a scene: rates, the share of the time inside Embree, and memory that does not grow with samples.
 
-    tools/bench render                                  the demo's scene, small numbers of samples
+    tools/bench render                                  first_light.toml, small numbers of samples
     tools/bench render scene.toml --engine sequential --json figures.json
 
 Every case renders in a process of its own, whose peak memory is its own too, after a warm-up that compiles the kernels.
@@ -60,7 +60,7 @@ LENS_COLUMNS = {
 
 
 WAY_COLUMNS = {
-    "way": ("paths of the demo's picture", ""),
+    "way": ("paths of the picture", ""),
     "paths_per_s": ("paths/s", ",.0f"),
     "embree_share": ("Embree", ".1%"),
     "queries_per_path": ("queries a path", ".2f"),
@@ -131,7 +131,7 @@ def measure_lens(surface: str, rounds: int) -> dict[str, Any]:
 
 
 def measure_ways(chunks: int, rounds: int) -> list[dict[str, Any]]:
-    """Trace the demo's image path and, both ways, its paths with reflections, in turn; return a row for each."""
+    """Trace the image path and, both ways, the paths with reflections, in turn; return a row for each."""
     world = lf.build(lf.load(asset_path("scenes/first_light.toml")).changed({"transport.threads": 1}))
     tracer = Tracer(world, check=False)
     image, reflections, *ghosts = tracer.parts
@@ -218,7 +218,7 @@ def main() -> None:
     report.tables["lens"] = Table("The double Gauss alone, mesh engine, one thread", LENS_COLUMNS, [lens])
     say("paths with reflections, lens surfaces by their order and by meshes")
     ways = measure_ways(2 if given.quick else ORDER_CHUNKS, 2 if given.quick else ORDER_ROUNDS)
-    report.tables["ways"] = Table("Paths of the demo's picture, one thread", WAY_COLUMNS, ways)
+    report.tables["ways"] = Table("Paths of the picture of first_light.toml, one thread", WAY_COLUMNS, ways)
     deliver(report, given, partial(draw, rows))
 
 

@@ -1,13 +1,14 @@
-"""Draw the test charts of the example scenes: chart.png, siemens.png and dots.png in assets/charts.
+"""Draw the test charts of the example scenes, in assets/charts: chart.png, colour_chart.png, dots.png and siemens.png.
 
-All are 8-bit grey sRGB pictures. The chart mixes coarse features, which survive the one-pixel-per-lenslet
-resolution of a plenoptic camera, with fine ones for a conventional camera. The dots are the background of schlieren
-pictures. Everything is drawn larger and reduced, so that edges are antialiased.
+They are 8-bit sRGB pictures, grey but for the colour chart. The chart mixes coarse features, which survive the
+one-pixel-per-lenslet resolution of a plenoptic camera, with fine ones for a conventional camera. The dots are the
+background of schlieren pictures. Everything is drawn larger and reduced, so that edges are antialiased.
 """
 
 import math
 import random
 from pathlib import Path
+from typing import NamedTuple
 
 from PIL import Image, ImageDraw, ImageFont
 
@@ -26,30 +27,62 @@ LIGHT_TILE = 168
 SLANT_DEG = 5.0
 """The slanted-edge angle usual in ISO 12233 measurements."""
 
+Colour = int | tuple[int, int, int]
+"""Of sRGB: grey, or red, green and blue."""
+
+
+class Inks(NamedTuple):
+    """Colours of the parts of the chart; the corners' stars go from the upper left in rows."""
+
+    words: tuple[Colour, Colour] = (INK, INK)
+    letters: tuple[Colour, Colour] = (INK, INK)
+    middle_star: Colour = INK
+    stars: tuple[Colour, Colour, Colour, Colour] = (INK, INK, INK, INK)
+    square: Colour = DARK_TILE
+    tiles: Colour = INK
+    steps: tuple[Colour, ...] = tuple(round(INK + (PAPER - INK) * step / 5) for step in range(6))
+
+
+COLOURED = Inks(
+    words=((24, 62, 150), (190, 40, 50)),
+    letters=((0, 110, 90), (120, 40, 130)),
+    middle_star=(20, 24, 46),
+    stars=((196, 32, 40), (20, 132, 60), (226, 118, 0), (28, 80, 180)),
+    square=(0, 128, 140),
+    tiles=(24, 44, 92),
+    steps=((196, 32, 40), (226, 118, 0), (240, 200, 0), (20, 132, 60), (28, 80, 180), (120, 40, 130)),
+)
+
 
 class Sheet:
     """A square sheet of paper with lengths in fractions of its side, origin at the top left."""
 
-    def __init__(self, side_px: int) -> None:
+    def __init__(self, side_px: int, mode: str = "L") -> None:
         self.scale = side_px * OVERSAMPLING
         self.side_px = side_px
-        self.picture = Image.new("L", (self.scale, self.scale), PAPER)
+        self.picture = Image.new(mode, (self.scale, self.scale), self._ink(PAPER, mode))
         self.pen = ImageDraw.Draw(self.picture)
 
-    def polygon(self, points: list[tuple[float, float]], grey: int) -> None:
+    @staticmethod
+    def _ink(colour: Colour, mode: str) -> Colour:
+        return (colour, colour, colour) if mode == "RGB" and isinstance(colour, int) else colour
+
+    def polygon(self, points: list[tuple[float, float]], colour: Colour) -> None:
         """Fill the polygon through `points`."""
-        self.pen.polygon([(x * self.scale, y * self.scale) for x, y in points], fill=grey)
+        fill = self._ink(colour, self.picture.mode)
+        self.pen.polygon([(x * self.scale, y * self.scale) for x, y in points], fill=fill)
 
-    def rectangle(self, x0: float, y0: float, x1: float, y1: float, grey: int) -> None:
+    def rectangle(self, x0: float, y0: float, x1: float, y1: float, colour: Colour) -> None:
         """Fill from the corner (x0, y0) to (x1, y1)."""
-        self.polygon([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], grey)
+        self.polygon([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], colour)
 
-    def disk(self, x: float, y: float, radius: float, grey: int) -> None:
+    def disk(self, x: float, y: float, radius: float, colour: Colour) -> None:
         """Fill a circle about (x, y)."""
         box = [(x - radius) * self.scale, (y - radius) * self.scale]
-        self.pen.ellipse([*box, (x + radius) * self.scale, (y + radius) * self.scale], fill=grey)
+        fill = self._ink(colour, self.picture.mode)
+        self.pen.ellipse([*box, (x + radius) * self.scale, (y + radius) * self.scale], fill=fill)
 
-    def siemens_star(self, x: float, y: float, radius: float, spokes: int) -> None:
+    def siemens_star(self, x: float, y: float, radius: float, spokes: int, colour: Colour = INK) -> None:
         """Draw a star of dark spokes on a disk of paper; one spoke is exactly half a period."""
         self.disk(x, y, radius * 1.06, PAPER)
         arc_steps = 12
@@ -59,9 +92,9 @@ class Sheet:
                 (x + radius * math.cos(angle), y + radius * math.sin(angle))
                 for angle in (start + math.pi / spokes * step / arc_steps for step in range(arc_steps + 1))
             ]
-            self.polygon([(x, y), *rim], INK)
+            self.polygon([(x, y), *rim], colour)
 
-    def slanted_square(self, x: float, y: float, side: float, grey: int) -> None:
+    def slanted_square(self, x: float, y: float, side: float, colour: Colour) -> None:
         """Fill a square about (x, y), turned by `SLANT_DEG`."""
         angle = math.radians(SLANT_DEG)
         half = side / 2
@@ -71,20 +104,21 @@ class Sheet:
                 (x + u * math.cos(angle) - v * math.sin(angle), y + u * math.sin(angle) + v * math.cos(angle))
                 for u, v in corners
             ],
-            grey,
+            colour,
         )
 
-    def text(self, x: float, y: float, height: float, words: str) -> None:
+    def text(self, x: float, y: float, height: float, words: str, colour: Colour = INK) -> None:
         """Write centred on (x, y); `height` is that of the font's em."""
+        fill = self._ink(colour, self.picture.mode)
         font = ImageFont.load_default(height * self.scale)
         self.pen.text(
             (x * self.scale, y * self.scale),
             words,
-            fill=INK,
+            fill=fill,
             font=font,
             anchor="mm",
             stroke_width=height * self.scale * 0.02,
-            stroke_fill=INK,
+            stroke_fill=fill,
         )
 
     def save(self, path: Path) -> None:
@@ -102,14 +136,14 @@ def grid(sheet: Sheet, cells: int, width: float) -> None:
         sheet.rectangle(0, at - width / 2, 1, at + width / 2, GRID)
 
 
-def frame(sheet: Sheet, tiles: int) -> None:
+def frame(sheet: Sheet, tiles: int, colour: Colour) -> None:
     """Draw a border of alternating tiles: it shows the field's edge, distortion and vignetting."""
     side = 1 / tiles
     for index in range(tiles):
-        along = (INK, PAPER) if index % 2 else (PAPER, INK)
-        for offset, grey in ((0.0, along[0]), (1 - side, along[1] if tiles % 2 == 0 else along[0])):
-            sheet.rectangle(index * side, offset, (index + 1) * side, offset + side, grey)
-            sheet.rectangle(offset, index * side, offset + side, (index + 1) * side, grey)
+        along = (colour, PAPER) if index % 2 else (PAPER, colour)
+        for offset, ink in ((0.0, along[0]), (1 - side, along[1] if tiles % 2 == 0 else along[0])):
+            sheet.rectangle(index * side, offset, (index + 1) * side, offset + side, ink)
+            sheet.rectangle(offset, index * side, offset + side, (index + 1) * side, ink)
 
 
 def line_pairs(sheet: Sheet, x: float, y: float, height: float) -> None:
@@ -123,30 +157,29 @@ def line_pairs(sheet: Sheet, x: float, y: float, height: float) -> None:
         period /= 2
 
 
-def chart() -> Sheet:
-    """Return the chart: stars, slanted squares, letters, line pairs and grey steps on a grid."""
-    sheet = Sheet(CHART_PX)
+def chart(inks: Inks, mode: str) -> Sheet:
+    """Return the chart: stars, slanted squares, letters, line pairs and steps on a grid."""
+    sheet = Sheet(CHART_PX, mode)
     grid(sheet, 20, 0.0018)
-    frame(sheet, 20)
-    sheet.siemens_star(0.5, 0.5, 0.17, 24)
-    for x in (0.2, 0.8):
-        for y in (0.2, 0.8):
-            sheet.siemens_star(x, y, 0.115, 12)
+    frame(sheet, 20, inks.tiles)
+    sheet.siemens_star(0.5, 0.5, 0.17, 24, inks.middle_star)
+    corners = [(x, y) for y in (0.2, 0.8) for x in (0.2, 0.8)]
+    for (x, y), ink in zip(corners, inks.stars, strict=True):
+        sheet.siemens_star(x, y, 0.115, 12, ink)
     sheet.rectangle(0.345, 0.1, 0.655, 0.3, PAPER)
-    sheet.text(0.5, 0.165, 0.11, "LIGHT")
-    sheet.text(0.5, 0.255, 0.08, "FIELD")
+    sheet.text(0.5, 0.165, 0.11, "LIGHT", inks.words[0])
+    sheet.text(0.5, 0.255, 0.08, "FIELD", inks.words[1])
     sheet.rectangle(0.1, 0.36, 0.3, 0.64, PAPER)
-    sheet.slanted_square(0.2, 0.5, 0.15, DARK_TILE)
+    sheet.slanted_square(0.2, 0.5, 0.15, inks.square)
     sheet.slanted_square(0.2, 0.5, 0.07, PAPER)
     sheet.rectangle(0.7, 0.36, 0.9, 0.64, PAPER)
-    sheet.text(0.8, 0.43, 0.11, "F R")
-    sheet.text(0.8, 0.55, 0.11, "4 7")
+    sheet.text(0.8, 0.43, 0.11, "F R", inks.letters[0])
+    sheet.text(0.8, 0.55, 0.11, "4 7", inks.letters[1])
     sheet.rectangle(0.345, 0.7, 0.655, 0.9, PAPER)
     line_pairs(sheet, 0.39, 0.715, 0.075)
-    steps = 6
-    for step in range(steps):
-        grey = round(INK + (PAPER - INK) * step / (steps - 1))
-        sheet.rectangle(0.36 + step * 0.28 / steps, 0.81, 0.36 + (step + 1) * 0.28 / steps, 0.88, grey)
+    steps = len(inks.steps)
+    for step, ink in enumerate(inks.steps):
+        sheet.rectangle(0.36 + step * 0.28 / steps, 0.81, 0.36 + (step + 1) * 0.28 / steps, 0.88, ink)
     return sheet
 
 
@@ -170,7 +203,8 @@ def dots() -> Sheet:
 
 def main() -> None:
     dots().save(ASSETS / "charts" / "dots.png")
-    chart().save(ASSETS / "charts" / "chart.png")
+    chart(Inks(), "L").save(ASSETS / "charts" / "chart.png")
+    chart(COLOURED, "RGB").save(ASSETS / "charts" / "colour_chart.png")
     siemens().save(ASSETS / "charts" / "siemens.png")
 
 

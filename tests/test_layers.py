@@ -34,7 +34,7 @@ ROOMS = {
     ],
     "view": [
         "style, figure_file, progress, pictures, media, key_figures, results",
-        *["rays", "request", "layout", "lens_sheet", "scene3d", "output", "show", "browser"],
+        *["rays", "request", "layout", "lens_sheet", "scene3d", "output", "show", "overview", "browser"],
     ],
     "files": ["", "exports"],
     "cli": ["application, interrupts, options, printing, tasks", "", "__init__"],

@@ -52,15 +52,15 @@ WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of
 """Faults of runs in older formats, and of files derived from them, by format."""
 
 RAW, REPORT, SCENE = "raw.exr", "report.json", "scene.toml"
-PREVIEW, VIEW = "preview.png", "preview_view.png"
+PREVIEW, VIEW, OVERVIEW = "preview.png", "preview_view.png", "overview.png"
 WHITE, CALIBRATION, WHITE_PREVIEW = "white.exr", "calibration.json", "white.png"
 
 EDITED_SECONDS = 2.0
 """A scene file that is newer than the report by more than this was edited (runs without a manifest)."""
 
 _OURS = re.compile(
-    r"raw\.exr|report\.json|scene\.toml|preview(_view)?\.png|linear16[\w.]*\.png|calibration\.json|views\.png"
-    r"|exposed\.(png|json)|depth(_views|_pixels)?\.exr|depth\.png|schlieren\.(exr|png)"
+    r"raw\.exr|report\.json|scene\.toml|preview(_view)?\.png|overview\.png|linear16[\w.]*\.png|calibration\.json"
+    r"|views\.png|exposed\.(png|json)|depth(_views|_pixels)?\.exr|depth\.png|schlieren\.(exr|png)"
     r"|(white|lightfield|stack|all_in_focus|refocused_[\w.+]+)\.(exr|png)|inputs/.*"
 )
 

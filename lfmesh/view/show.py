@@ -268,14 +268,14 @@ def check_output(option: str, path: Path) -> None:
 def picture_of(view: View) -> PIL.Image.Image:
     """Return the picture of a view; overviews have the magnified array in a corner."""
     if view.preset not in WITH_INSET or "array" not in view.presets:
-        return _shot(view)
+        return shot(view)
     view.overlay.mark(LETTER, view.array_edge)
-    picture = _shot(view)
+    picture = shot(view)
     preset = view.preset
     view.overlay.only_scale(True)
     view.overlay.mark(f"{LETTER}: lenslets")
     view.look("array")
-    close = _shot(view)
+    close = shot(view)
     view.look(preset)
     view.overlay.only_scale(False)
     view.overlay.unmark()
@@ -283,7 +283,8 @@ def picture_of(view: View) -> PIL.Image.Image:
     return picture
 
 
-def _shot(view: View) -> PIL.Image.Image:
+def shot(view: View) -> PIL.Image.Image:
+    """Return a view as it stands, without the magnified array."""
     view.smooth(True)
     view.plotter.render()
     shot = PIL.Image.fromarray(view.plotter.screenshot(return_img=True))

@@ -100,12 +100,12 @@ class Overlay:
                 self._texts.append(self._text(label, 15, (0.985, top), colour, top=True, right=True))
                 top -= 15 * LINE * self._scale / height
 
-    def only_scale(self, on: bool) -> None:
-        """Show only the scale bar, enlarged, or everything again."""
+    def only_scale(self, on: bool, enlarged: float = 2.4) -> None:
+        """Show only the scale bar, its text enlarged, or everything again."""
         self._shows_names = not on
         for text in (*self._texts, *self._told):
             text.SetVisibility(not on)
-        self.bar_text.GetTextProperty().SetFontSize(round((2.4 if on else 1.0) * 15 * self._scale))
+        self.bar_text.GetTextProperty().SetFontSize(round((enlarged if on else 1.0) * 15 * self._scale))
         (self._plotter.hide_axes if on else self._plotter.show_axes)()
 
     def mark(self, words: str, place_mm: NDArray[np.float64] | None = None) -> None:

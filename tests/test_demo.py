@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import PIL.Image
 import pytest
 from scipy import stats
 from scipy.spatial import ConvexHull
@@ -18,6 +19,7 @@ from lfmesh.cli import main
 from lfmesh.files.run import RAW, SCENE
 from lfmesh.scene import Scene
 from lfmesh.transport.render.render import render
+from lfmesh.view import overview
 
 SMALL = """
 schema_version = 1
@@ -227,12 +229,67 @@ def around(outline: np.ndarray) -> np.ndarray:
     return np.asarray(distance.max(axis=0) <= 2.0)
 
 
-def test_the_demo_command_writes_every_picture(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    small = lfmesh.load(asset_path("scenes/first_light.toml")).changed(
-        {"camera.sensor.pixels": (60, 60), "camera.mla.count": (6, 6)}
+@pytest.fixture
+def small_demo(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the demo's run, whose scene has few lenslets."""
+    small = lfmesh.load(asset_path("scenes/demo.toml")).changed(
+        {"camera.sensor.pixels": (160, 160), "camera.mla.count": (16, 16)}
     )
     monkeypatch.setattr("lfmesh.scene.load", lambda _: small)
+    return folder / "lfmesh-demo"
+
+
+def test_the_demo_command_writes_every_picture(small_demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", "--samples", "8"]) == 0
-    assert (folder / "lfmesh-demo" / RAW).is_file()
-    for name in ("preview.png", "preview_view.png", "linear16.png", "report.json", SCENE):
-        assert (folder / "lfmesh-demo" / name).is_file()
+    out = capsys.readouterr().out
+    for name in ("preview.png", "preview_view.png", "linear16_R.png", "report.json", "overview.png", RAW, SCENE):
+        assert (small_demo / name).is_file()
+    assert np.ptp(np.asarray(PIL.Image.open(small_demo / "preview.png")).astype(int), axis=2).max() > 100, "grey"
+    lines = out.splitlines()
+    assert len(lines) <= 10
+    assert max(map(len, lines)) <= 80
+    assert lines[0].split()[0] == str(Path("lfmesh-demo") / "overview.png")
+    assert {line.split(":")[0] for line in lines} >= {"Noise", "Checks", "Next"}
+    for term in ("naimed", "equential", "quarter", "blocks", "deviation"):
+        assert term not in out, "words for those who know the method"
+
+
+def test_the_demos_sheet_shows_two_different_photographs_and_a_depth_that_varies(small_demo: Path) -> None:
+    assert main(["demo", "--samples", "8"]) == 0
+    with PIL.Image.open(small_demo / "overview.png") as sheet:
+        assert sheet.size == (overview.WIDTH, overview.HEIGHT)
+        lower = np.asarray(sheet.convert("RGB")).astype(int)[-overview.MARGIN - overview.SMALL : -overview.MARGIN]
+    step = overview.SMALL + overview.GAP
+    view, near, far, depth = (
+        lower[:, overview.MARGIN + k * step : overview.MARGIN + k * step + overview.SMALL] for k in range(4)
+    )
+    assert np.abs(near - far).mean() > 2.0
+    for picture in (view, near, far, depth):
+        assert picture.std() > 20.0
+        assert np.ptp(picture, axis=2).max() > 60, "grey"
+
+
+def test_without_libraries_for_drawing_the_sheet_has_the_layout(
+    small_demo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(_: object) -> None:
+        raise lf.LfmeshError("drawing needs the GL libraries")
+
+    monkeypatch.setattr(overview.Probe, "check", missing)
+    assert main(["demo", "--samples", "4"]) == 0
+    with PIL.Image.open(small_demo / "overview.png") as sheet:
+        upper = np.asarray(sheet.convert("L"))[overview.MARGIN + overview.CAPTION :][: overview.LARGE]
+    assert np.median(upper[:, overview.MARGIN : overview.MARGIN + overview.LARGE]) == 255, "paper of the drawing"
+
+
+def test_ctrl_c_while_the_sheet_is_drawn_keeps_the_run(
+    small_demo: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(overview, "camera_picture", stopped)
+    assert main(["demo", "--samples", "4"]) == 130
+    assert f"the run in {Path('lfmesh-demo')} is saved" in capsys.readouterr().err
+    assert lfmesh.open_run(small_demo).complete
+    assert not (small_demo / "overview.png").exists()

@@ -27,6 +27,7 @@ CROPS = {
     "conventional": (-1.0, 0.5),
     "cover_glass": (-1.0, 0.5),
     "crossed_cylinders": (-1.0, 0.5),
+    "demo": (-1.0, 0.5),
     "diffraction": (0.0, 0.0),
     "emitting_plane": (-0.5, 0.5),
     "eye": (-0.3, 0.15),

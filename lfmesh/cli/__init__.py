@@ -18,6 +18,7 @@ try:
             camera_model,
             compare,
             dataset,
+            demo,
             export,
             fit,
             frames,

@@ -1,7 +1,10 @@
-"""Rendering of scene files into run folders: `lfmesh demo`, `check`, `render`, `white`."""
+"""Rendering of scene files into run folders: `lfmesh check`, `render`, `white`."""
 
+import sys
 import tempfile
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,17 +23,8 @@ if TYPE_CHECKING:
     from lfmesh.transport.render.image import Image
 
 
-@app.command
-def demo(
-    *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Run folder to write.")] = Path("lfmesh-demo"),
-    verbose: Verbose = False,
-    overrides: Overrides | None = None,
-) -> int:
-    """Render the scene that comes with lfmesh: a bracket in front of a chart."""
-    from lfmesh.assets import asset_path
-
-    return _render(asset_path("scenes/first_light.toml"), out, overrides, verbose=verbose)
+Account = Callable[["Image", Path], list[str]]
+"""Lines to print about an image that was saved into a folder."""
 
 
 @app.command
@@ -164,7 +158,8 @@ def render(
         if with_white:
             raise LfmeshError("--white needs the whole run: give it with --merge")
         return _share(scene, out, share, overrides)
-    code = _render(scene, out, overrides, dask, restart=restart, with_white=with_white, verbose=verbose)
+    account = partial(run_account, verbose=verbose)
+    code = render_file(scene, out, account, overrides, dask, restart=restart, with_white=with_white)
     return _white(out, None) if with_white and code == 0 else code
 
 
@@ -217,13 +212,27 @@ def _merged(
         image = shares.merged(folders)
         if with_white:
             _refuse_undecodable(image.scene)
-        return _told(image, out, verbose=verbose)
+        return _concluded(image, out, partial(run_account, verbose=verbose))
 
 
-def _render(
-    scene_file: Path, folder: Path, overrides: Overrides | None, dask: str | None = None, *,
-    restart: bool = False, with_white: bool = False, verbose: bool = False,
+def render_file(
+    scene_file: Path, folder: Path, account: Account, overrides: Overrides | None = None, dask: str | None = None, *,
+    restart: bool = False, with_white: bool = False,
 ) -> int:  # fmt: skip
+    """Render a scene file into a run folder, print the account of it, and return the exit code.
+
+    Parameters
+    ----------
+    scene_file, folder : Path
+    account : callable
+    overrides : Overrides, optional
+    dask : str, optional
+        Address of a scheduler.
+    restart : bool
+        Discard an interrupted render in the folder.
+    with_white : bool
+        Refuse a camera without a white image.
+    """
     from lfmesh.geometry.lens.solved_camera import solved_camera
     from lfmesh.scene import load
 
@@ -248,7 +257,7 @@ def _render(
     run.prepare(folder)
     _say_beforehand(scene)
     with run.rendering(folder):
-        return _traced(scene, folder, None, dask, verbose=verbose)
+        return _traced(scene, folder, account, dask=dask)
 
 
 def _refuse_undecodable(scene: "Scene") -> None:
@@ -290,11 +299,11 @@ def _resume(
         kept = checkpoint.read(folder, image_file.scene_from)
         if with_white:
             _refuse_undecodable(kept.scene)
-        return _traced(overridden(kept.scene, threads), folder, kept.arrays, verbose=verbose)
+        return _traced(overridden(kept.scene, threads), folder, partial(run_account, verbose=verbose), kept.arrays)
 
 
 def _traced(
-    scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: str | None = None, *, verbose: bool
+    scene: "Scene", folder: Path, account: Account, saved: "dict[str, Any] | None" = None, dask: str | None = None
 ) -> int:
     """Render into a run folder.
 
@@ -302,12 +311,11 @@ def _traced(
     ----------
     scene : Scene
     folder : Path
-    saved : dict of arrays, or None
+    account : callable
+    saved : dict of arrays, optional
         Arrays of a checkpoint to resume from.
     dask : str, optional
         Address of a scheduler.
-    verbose : bool
-        Print the whole account of the run.
     """
     with defer_interrupt():
         from lfmesh.files import image_file
@@ -330,18 +338,24 @@ def _traced(
             raise
         print(f"Stopped before a replicate was finished. To continue: lfmesh render --resume {folder}")
         return code_of_last()
-    return _told(image, folder, verbose=verbose)
+    return _concluded(image, folder, account)
 
 
-def _told(image: "Image", folder: Path, *, verbose: bool) -> int:
-    """Save a run and print its account."""
+def run_account(image: "Image", folder: Path, *, verbose: bool) -> list[str]:
+    """Return the lines about a run: its noise, its checks and its files; warnings were printed as they came."""
     from lfmesh.files import words
 
+    return [*map(wrapped, words.account(image, verbose=verbose)), _whereabouts(image, folder)]
+
+
+def _concluded(image: "Image", folder: Path, account: Account) -> int:
+    """Save a run and print its account."""
     place = _saved(image, folder)
-    # Warnings were printed as they came.
-    for line in words.account(image, verbose=verbose):
-        print(wrapped(line))
-    print(_whereabouts(image, place))
+    try:
+        print("\n".join(account(image, place)))
+    except KeyboardInterrupt:
+        print(f"\nStopped: the run in {place} is saved.", file=sys.stderr)
+        return code_of_last()
     if not image.complete:
         print(f"  To continue: lfmesh render --resume {folder}")
     if place != folder:

@@ -86,6 +86,37 @@ def test_a_guide_runs_from_an_empty_folder(page: str, tmp_path: Path, monkeypatc
     assert ran >= 3
 
 
+TASKS = re.findall(r"^python/(\w+)$", PAGES["python"], flags=re.MULTILINE)
+"""Pages of the Python reference, in their order."""
+
+
+def test_the_examples_of_the_python_reference_run_in_their_order(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The example on drawing, which may lack the libraries for it, has a test of its own."""
+    monkeypatch.chdir(folder)
+    for page in TASKS:
+        if page != "views":
+            run_example(page)
+
+
+@pytest.mark.drawing
+def test_the_example_on_drawing_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    run_example("views")
+    assert Path("rays.png").is_file()
+
+
+def run_example(page: str) -> None:
+    """Run the one example of a page of the Python reference."""
+    text = (ROOT / "assets" / "docs" / "python" / f"{page}.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"^```python\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+    exec(compile(example, page, "exec"), {"__name__": "__main__"})
+
+
+def test_every_task_of_the_python_reference_is_in_its_table() -> None:
+    assert re.findall(r"^\| \[[^]]+\]\(python/(\w+)\.md\)", PAGES["python"], flags=re.MULTILINE) == TASKS
+    assert {path.stem for path in (ROOT / "assets" / "docs" / "python").glob("*.md")} == set(TASKS)
+
+
 def test_every_warning_is_explained_in_the_order_of_importance() -> None:
     explained = re.findall(r"^## (\w+)$", PAGES["warnings"], flags=re.MULTILINE)
     others = [name for name, each in vars(errors).items() if isinstance(each, type) and each.__base__ is UserWarning]

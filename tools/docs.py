@@ -2,10 +2,10 @@
 
     tools/docs [FOLDER] [--quick]
 
-The pages and what they link to are copied into FOLDER/source as they lie in the project, so that links hold in both;
-what the program says of itself (files, commands, Python names, gallery, figures of the validation) is written beside
-them. Sphinx makes FOLDER/html of it, and any warning fails, as does a test of the validation. Renders, notebooks and
-figures are kept in FOLDER by the digest of their input and of the program.
+The pages and their files are copied into FOLDER/source as they lie in the project, so that links hold in both. The
+program's own words (keys of files, commands, gallery, figures of the validation) are written beside them; the
+pages of the Python reference get their names. Sphinx makes FOLDER/html of it. Any warning fails, as does a test of the
+validation. Renders, notebooks and figures are kept in FOLDER by the digest of their input and of the program.
 """
 
 import argparse
@@ -14,11 +14,12 @@ import json
 import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from docs_gallery import gallery
-from docs_reference import commands_page, file_pages, python_page
+from docs_python import with_names
+from docs_reference import commands_page, file_pages
 from docs_validation import validation
 from sphinx.cmd.build import main as sphinx
 
@@ -40,8 +41,7 @@ def main(arguments: list[str]) -> int:
     wanted = parser.parse_args(arguments)
     folder = wanted.folder.resolve()
     begun = time.perf_counter()
-    copy_sources(folder / "source")
-    valid = write_generated(folder, quick=wanted.quick)
+    valid = write_sources(folder, quick=wanted.quick)
     said = time.perf_counter() - begun
     code = sphinx(
         [
@@ -58,8 +58,40 @@ def main(arguments: list[str]) -> int:
     return code if valid else 1
 
 
-def copy_sources(place: Path) -> None:
-    """Copy the pages, the guides and what they link to; a file that has not changed stays."""
+def write_sources(folder: Path, *, quick: bool) -> bool:
+    """Write all pages for Sphinx; return whether the tests of the validation have passed."""
+    program = program_digest()
+    generated = folder / "source" / PAGES / "generated"
+    pages = {**file_pages(), "commands": commands_page()}
+    pages["gallery"] = gallery(folder / "renders", generated, program, quick=quick)
+    pages["validation"], valid = validation(folder / "validation", program, quick=quick)
+    for name, text in pages.items():
+        keep(generated / f"{name}.md", text.encode())
+    copy_sources(folder / "source", python_pages())
+    return valid
+
+
+def python_pages() -> dict[Path, bytes]:
+    """Return the pages of the Python reference with their names."""
+    texts = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in pages_in("python")}
+    return {Path(name): text.encode() for name, text in with_names(texts).items()}
+
+
+def pages_in(folder: str) -> list[Path]:
+    """Return the pages in a folder of the site's pages."""
+    return sorted((ROOT / PAGES / folder).glob("*.md"))
+
+
+def copy_sources(place: Path, changed: Mapping[Path, bytes]) -> None:
+    """Copy the pages, the guides and their files; a file that has not changed stays.
+
+    Parameters
+    ----------
+    place : Path
+        Folder of the copy.
+    changed : dict of bytes
+        Content in place of a file's own, by its path in the project.
+    """
     sources = {path for pattern in GUIDES for path in ROOT.glob(pattern)}
     sources |= {path for name in ASSETS for path in (ROOT / "assets" / name).rglob("*") if path.is_file()}
     wanted = {path.relative_to(ROOT) for path in sources if path.suffix not in (".py", ".pyc")}
@@ -69,24 +101,13 @@ def copy_sources(place: Path) -> None:
         if path.relative_to(place) not in wanted and "generated" not in path.parts:
             path.unlink()
     for path in wanted:
-        keep(place / path, (ROOT / path).read_bytes())
+        keep(place / path, changed[path] if path in changed else (ROOT / path).read_bytes())
 
 
 def linked_code(guide: Path) -> Iterator[Path]:
     """Yield the files of code that a guide links to."""
     for link in re.findall(r"\]\(([^)#:]+\.py)\)", guide.read_text(encoding="utf-8")):
         yield (guide.parent / link).resolve()
-
-
-def write_generated(folder: Path, *, quick: bool) -> bool:
-    """Write the pages that the program makes of itself; return whether the tests of the validation have passed."""
-    place = folder / "source" / PAGES / "generated"
-    pages = {**file_pages(), "commands": commands_page(), "python": python_page()}
-    pages["gallery"] = gallery(folder / "renders", place, program_digest(), quick=quick)
-    pages["validation"], valid = validation(folder / "validation", program_digest(), quick=quick)
-    for name, text in pages.items():
-        keep(place / f"{name}.md", text.encode())
-    return valid
 
 
 def keep(path: Path, content: bytes) -> None:

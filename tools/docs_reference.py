@@ -1,4 +1,4 @@
-"""Reference pages that the program writes of itself: the files that it reads, the commands, the Python names."""
+"""Reference pages that the program writes of itself: the files that it reads, and the commands."""
 
 import json
 import re
@@ -9,7 +9,6 @@ from typing import Any
 
 from rich.console import Console
 
-import lfmesh
 from lfmesh.cli import app
 from lfmesh.scene import Scene
 from lfmesh.scene.model import Model
@@ -20,21 +19,6 @@ from lfmesh.study.optimise.figures import FIGURES
 from lfmesh.study.sweeps.study_file import StudyFile
 
 Schema = dict[str, Any]
-
-SUBJECTS = {
-    "Scenes": ("scene",),
-    "Rendering and rays": ("transport",),
-    "Light fields and volumes": ("lightfield",),
-    "Lenses and waves": ("geometry", "analysis", "waves"),
-    "Files": ("files", "assets"),
-    "Many cameras": ("study",),
-    "Drawing": ("view",),
-    "Errors and warnings": ("errors",),
-}
-"""Parts of the package whose public names a section of the Python reference holds."""
-
-HIDDEN_MEMBERS = "model_config, faults"
-
 
 GUIDE = "../../../lfmesh/study/README.md"
 """To studies, designs and datasets, from a page of the reference."""
@@ -202,30 +186,3 @@ def _help(words: tuple[str, ...]) -> str:
     out = StringIO()
     app.help_print(list(words), console=Console(file=out, width=88, color_system=None))
     return "\n".join(line.rstrip() for line in out.getvalue().strip().splitlines())
-
-
-def python_page() -> str:
-    """Return the reference of the public names, by subject, for numpydoc to fill from the docstrings."""
-    part_of: dict[str, list[str]] = defaultdict(list)
-    for name in lfmesh.__all__:
-        if not name.startswith("_"):
-            part_of[getattr(lfmesh, name).__module__.split(".")[1]].append(name)
-    lines = ["# Python", "", "Every public name, after `import lfmesh as lf`.", ""]
-    for subject, parts in SUBJECTS.items():
-        names = [name for part in parts for name in part_of.pop(part, [])]
-        lines += [f"## {subject}", "", "```{eval-rst}", ".. currentmodule:: lfmesh", ""]
-        for name in sorted(names, key=str.lower):
-            lines += _directive(name)
-        lines += ["```", ""]
-    if part_of:
-        raise ValueError(f"public names without a subject in the reference: {dict(part_of)}")
-    return "\n".join(lines)
-
-
-def _directive(name: str) -> list[str]:
-    thing = getattr(lfmesh, name)
-    if not isinstance(thing, type):
-        return [f".. autofunction:: {name}", ""]
-    if issubclass(thing, Exception):
-        return [f".. autoexception:: {name}", ""]
-    return [f".. autoclass:: {name}", "   :members:", f"   :exclude-members: {HIDDEN_MEMBERS}", ""]

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -28,6 +29,16 @@ ROOT = Path(__file__).resolve().parents[2]
 def reference(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
     return importlib.import_module("docs_reference")
+
+
+Tools = Callable[[str], ModuleType]
+
+
+@pytest.fixture
+def tools(monkeypatch: pytest.MonkeyPatch) -> Tools:
+    """Return a function that imports a module of tools/."""
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    return importlib.import_module
 
 
 @pytest.fixture
@@ -91,10 +102,25 @@ def test_the_reference_has_every_command_with_its_help(reference: ModuleType) ->
     assert page.count("Usage: lfmesh") == len(named)
 
 
-def test_the_reference_has_every_public_name_once(reference: ModuleType) -> None:
-    page = reference.python_page()
+def test_the_python_reference_has_every_public_name_once_below_an_example(tools: Tools) -> None:
+    folder = ROOT / "assets" / "docs" / "python"
+    pages = tools("docs_python").with_names({path.stem: path.read_text() for path in folder.glob("*.md")})
     for name in set(lfmesh.__all__) - {"__version__"}:
-        assert sum(line.endswith(f":: {name}") for line in page.splitlines()) == 1, name
+        assert sum(line.endswith(f":: {name}") for text in pages.values() for line in text.splitlines()) == 1, name
+    for text in pages.values():
+        assert 0 < text.index("```python") < text.index("\n## Names\n")
+    assert ".. autofunction:: render\n" in pages["render"]
+    assert ".. autoclass:: Lens\n" in pages["camera"]
+
+
+def test_a_public_name_without_a_page_is_refused(tools: Tools) -> None:
+    with_names = tools("docs_python").with_names
+    with pytest.raises(ValueError, match=r"lf\.\w+, of .*, belongs to no page"):
+        with_names({"rays": "<!-- names: transport -->"})
+    with pytest.raises(ValueError, match="scene belongs to one and to two"):
+        with_names({"one": "<!-- names: scene -->", "two": "<!-- names: scene -->"})
+    with pytest.raises(ValueError, match="needs one line"):
+        with_names({"one": "# Names"})
 
 
 def test_a_render_is_kept_until_scene_or_program_change(pictures: ModuleType) -> None:
@@ -187,6 +213,6 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_the_network(tm
     )  # fmt: skip
     assert built.returncode == 0, built.stderr
     pages = {path: path.read_text(encoding="utf-8") for path in (tmp_path / "html").rglob("*.html")}
-    assert {"start.html", "python.html", "ghost_hunt.html", "README.html"} <= {path.name for path in pages}
+    assert {"start.html", "render.html", "ghost_hunt.html", "README.html"} <= {path.name for path in pages}
     for path, text in pages.items():
         assert not re.findall(r"<(?:script|link|img)\b[^>]*\b(?:src|href)=\"https?://", text), path

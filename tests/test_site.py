@@ -117,8 +117,14 @@ def test_every_task_of_the_python_reference_is_in_its_table() -> None:
     assert {path.stem for path in (ROOT / "assets" / "docs" / "python").glob("*.md")} == set(TASKS)
 
 
-def test_every_warning_is_explained_in_the_order_of_importance() -> None:
-    explained = re.findall(r"^## (\w+)$", PAGES["warnings"], flags=re.MULTILINE)
+def test_every_warning_has_a_page_and_stands_in_the_order_of_importance() -> None:
+    rows = re.findall(r"^\| \[(\w+)\]\(warnings/(\w+)\.md\) \| (.+) \|$", PAGES["warnings"], flags=re.MULTILINE)
+    explained = [name for name, _, _ in rows]
+    assert explained == [page for _, page, _ in rows]
+    assert explained == re.findall(r"^warnings/(\w+)$", PAGES["warnings"], flags=re.MULTILINE)
+    for name, _, meaning in rows:
+        text = " ".join((ROOT / "assets" / "docs" / "warnings" / f"{name}.md").read_text(encoding="utf-8").split())
+        assert text.startswith(f"# {name} **{meaning.rstrip('.')}"), name
     others = [name for name, each in vars(errors).items() if isinstance(each, type) and each.__base__ is UserWarning]
     pictures = [each.__name__ for each in lf.PictureWarning.__subclasses__()]
     assert explained == [*pictures, *(name for name in others if name != "PictureWarning")]

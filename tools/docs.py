@@ -3,9 +3,9 @@
     tools/docs [FOLDER] [--quick]
 
 The pages and their files are copied into FOLDER/source as they lie in the project, so that links hold in both. The
-program's own words (keys of files, commands, gallery, figures of the validation) are written beside them; the
-pages of the Python reference get their names. Sphinx makes FOLDER/html of it. Any warning fails, as does a test of the
-validation. Renders, notebooks and figures are kept in FOLDER by the digest of their input and of the program.
+program's own words (keys of files, commands, gallery, figures of the validation) are written beside them; some pages
+get their Python names, or pictures of warnings. Sphinx makes FOLDER/html of it. Any warning fails, as does a test of
+the validation. Renders, notebooks and figures are kept in FOLDER by the digest of their input and of the program.
 """
 
 import argparse
@@ -14,10 +14,10 @@ import json
 import re
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from docs_gallery import gallery
+from docs_gallery import gallery, warned
 from docs_python import with_names
 from docs_reference import commands_page, file_pages
 from docs_validation import validation
@@ -63,11 +63,12 @@ def write_sources(folder: Path, *, quick: bool) -> bool:
     program = program_digest()
     generated = folder / "source" / PAGES / "generated"
     pages = {**file_pages(), "commands": commands_page()}
-    pages["gallery"] = gallery(folder / "renders", generated, program, quick=quick)
+    pages["gallery"], warns = gallery(folder / "renders", generated, program, quick=quick)
     pages["validation"], valid = validation(folder / "validation", program, quick=quick)
     for name, text in pages.items():
         keep(generated / f"{name}.md", text.encode())
-    copy_sources(folder / "source", python_pages())
+    changed = {**python_pages(), **warning_pages(warns, folder / "source")}
+    copy_sources(folder / "source", changed)
     return valid
 
 
@@ -75,6 +76,26 @@ def python_pages() -> dict[Path, bytes]:
     """Return the pages of the Python reference with their names."""
     texts = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in pages_in("python")}
     return {Path(name): text.encode() for name, text in with_names(texts).items()}
+
+
+def warning_pages(warns: Mapping[str, Sequence[str]], place: Path) -> dict[Path, bytes]:
+    """Return the pages of warnings with the pictures of scenes that warn.
+
+    Parameters
+    ----------
+    warns : dict of sequence of str
+        Names of scenes, by kind of warning.
+    place : Path
+        Folder of the copy.
+    """
+    pages = {}
+    for path in pages_in("warnings"):
+        own = path.relative_to(ROOT)
+        text = path.read_text(encoding="utf-8") + warned(
+            warns.get(path.stem, ()), place / PAGES / "generated", place / own
+        )
+        pages[own] = text.encode()
+    return pages
 
 
 def pages_in(folder: str) -> list[Path]:

@@ -3,11 +3,15 @@
 import hashlib
 import json
 import math
+import os
 import shutil
 import time
 import warnings
+from collections import defaultdict
+from collections.abc import Sequence
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import PIL.Image
 from docs_reference import plain
@@ -24,12 +28,14 @@ SAMPLES = 16
 MOST_PIXELS = 640
 """Along each side; of a larger sensor the middle is rendered."""
 
+PREVIEWS = ("preview.png", "preview_view.png")
+
 WIDTH = 350
 """Pixels of a picture on the page: two stand side by side."""
 
 
-def gallery(kept: Path, place: Path, program: str, *, quick: bool) -> str:
-    """Return the page, its pictures written beside it.
+def gallery(kept: Path, place: Path, program: str, *, quick: bool) -> tuple[str, dict[str, list[str]]]:
+    """Return the page, its pictures written beside it, and the scenes that warn, by kind of warning.
 
     Parameters
     ----------
@@ -51,6 +57,7 @@ def gallery(kept: Path, place: Path, program: str, *, quick: bool) -> str:
         "",
     ]
     place.mkdir(parents=True, exist_ok=True)
+    warns: dict[str, list[str]] = defaultdict(list)
     for path in sorted(SCENES.glob("*.toml")):
         scene = reduced(lf.load(path))
         folder = kept / f"{path.stem}-{digest(scene, program)}"
@@ -58,6 +65,37 @@ def gallery(kept: Path, place: Path, program: str, *, quick: bool) -> str:
             print(f"gallery: {path.stem}", flush=True)
             rendered(scene, folder)
         lines += entry(path, folder, place)
+        for kind in facts_of(folder).get("warnings", []):
+            warns[kind].append(path.stem)
+    return "\n".join(lines), warns
+
+
+def facts_of(folder: Path) -> dict[str, Any]:
+    """Return the time and the warnings of a render; empty if it is not kept."""
+    path = folder / "facts.json"
+    facts: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}
+    return facts
+
+
+def warned(scenes: Sequence[str], place: Path, page: Path) -> str:
+    """Return a section with the pictures of scenes that warn; empty if there are none.
+
+    Parameters
+    ----------
+    scenes : sequence of str
+    place : Path
+        Folder of the gallery's pictures.
+    page : Path
+        Page that the section is for.
+    """
+    if not scenes:
+        return ""
+    lines = ["", "## Scenes of the gallery that warn", ""]
+    for scene in scenes:
+        pictures = [path for name in PREVIEWS if (path := place / f"{scene}-{name}").is_file()]
+        shown_here = " ".join(f"![{scene}]({os.path.relpath(path, page.parent)})" for path in pictures)
+        link = f"{os.path.relpath(place / 'gallery.md', page.parent)}#{scene.replace('_', '-')}"
+        lines += [f"[{scene}]({link}), {SAMPLES} samples a pixel:", "", shown_here, ""]
     return "\n".join(lines)
 
 
@@ -88,7 +126,7 @@ def rendered(scene: lf.Scene, folder: Path) -> None:
     seconds = time.perf_counter() - begun
     run = folder / "run"
     lf.save(image, run)
-    for name in ("preview.png", "preview_view.png"):
+    for name in PREVIEWS:
         if (run / name).is_file():
             shutil.copyfile(run / name, folder / name)
     shutil.rmtree(run)
@@ -113,14 +151,14 @@ def entry(path: Path, folder: Path, place: Path) -> list[str]:
     about = plain(" ".join(line.removeprefix("#") for line in comment if line.startswith("#")))
     lines = [f"## {path.stem}", "", f"[{path.name}](../../scenes/{path.name})", ""]
     lines += [about, ""] if about else []
-    if not (folder / "facts.json").is_file():
+    facts = facts_of(folder)
+    if not facts:
         return [*lines, "Not rendered in this build.", ""]
-    facts = json.loads((folder / "facts.json").read_text())
     pictures = []
-    for name in ("preview.png", "preview_view.png"):
+    for name in PREVIEWS:
         if (folder / name).is_file():
             own = f"{path.stem}-{name}"
             shown(folder / name, place / own)
             pictures.append(f"![{path.stem}]({own})")
-    said = "".join(f" [{kind}](../warnings.md#{kind.lower()})" for kind in facts["warnings"])
+    said = "".join(f" [{kind}](../warnings/{kind}.md)" for kind in facts["warnings"])
     return [*lines, " ".join(pictures), "", f"{facts['seconds']:.0f} s." + (f" Warns:{said}" if said else ""), ""]

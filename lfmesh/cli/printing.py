@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def warnings_in_words() -> Iterator[None]:
     """Print each warning once on standard error as it comes: picture warnings as warnings, others as notes.
 
-    The name in brackets is the class that assets/docs/warnings.md explains.
+    The name in brackets is the class that assets/docs/warnings explains.
     """
     told: set[str] = set()
     usual = warnings.showwarning

@@ -139,11 +139,19 @@ def test_the_gallery_lists_every_scene_and_shows_what_was_rendered(pictures: Mod
     kept.mkdir(parents=True)
     pictures.rendered(small, kept)
     assert json.loads((kept / "facts.json").read_text())["seconds"] > 0.0
-    page = pictures.gallery(tmp_path / "renders", tmp_path / "pages", "one", quick=True)
+    (kept / "facts.json").write_text(json.dumps({"seconds": 1.0, "warnings": ["TooFewSamplesWarning"]}))
+    page, warns = pictures.gallery(tmp_path / "renders", tmp_path / "pages", "one", quick=True)
     scenes = {scene.stem for scene in (ROOT / "assets/scenes").glob("*.toml")}
     assert {line.removeprefix("## ") for line in page.splitlines() if line.startswith("## ")} == scenes
     assert (tmp_path / "pages" / "conventional-preview.png").is_file()
     assert page.count("Not rendered in this build.") == len(scenes) - 1
+    assert "[TooFewSamplesWarning](../warnings/TooFewSamplesWarning.md)" in page
+    assert warns == {"TooFewSamplesWarning": ["conventional"]}
+    own = tmp_path / "warnings" / "TooFewSamplesWarning.md"
+    section = pictures.warned(warns["TooFewSamplesWarning"], tmp_path / "pages", own)
+    assert "![conventional](../pages/conventional-preview.png)" in section
+    assert "[conventional](../pages/gallery.md#conventional)" in section
+    assert pictures.warned([], tmp_path / "pages", own) == ""
 
 
 CASE = """

@@ -1,4 +1,7 @@
-"""Reference pages that the program writes of itself: the files that it reads, and the commands."""
+"""Reference pages that the program writes of itself: the keys of the files that it reads, and the commands.
+
+Keys and commands are objects of the site (`docs_site`), which its search finds by name.
+"""
 
 import json
 import re
@@ -95,8 +98,11 @@ def _section(name: str, table: Schema) -> Iterator[str]:
         fixed = f"`{json.dumps(field['const'])}`" if "const" in field else ""
         type_ = fixed or type_in_words(field)
         default = "" if field.get("default") in (None, [], {}) or fixed else f", default `{toml(field['default'])}`"
-        yield f"`{key}`: {type_}{', required' if key in required else default}"
-        yield f": {plain(field.get('description', '')) or '(no description)'}"
+        yield f"```{{key}} {name}.{key}"
+        yield f"{type_}{', required' if key in required else default}"
+        yield ""
+        yield plain(field.get("description", "")) or "(no description)"
+        yield "```"
         yield ""
 
 
@@ -168,7 +174,9 @@ def commands_page() -> str:
     """Return the reference of the command line, from the help of each command."""
     lines = ["# Commands", "", "Each command prints this with `--help`. The list of them by task: `lfmesh --help`.", ""]
     for words in commands(app):
-        lines += [f"## lfmesh {' '.join(words)}", "", "```text", _help(words), "```", ""]
+        name = " ".join(words)
+        lines += [f"## lfmesh {name}", "", f"```{{command}} {name}", ":no-typesetting:", "```", ""]
+        lines += ["```text", _help(words), "```", ""]
     return "\n".join(lines)
 
 

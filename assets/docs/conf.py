@@ -1,8 +1,9 @@
 """Settings of the documentation site, which tools/docs builds.
 
 myst-nb reads the Markdown pages and guides as they are, and runs the notebooks during the build, each once for a
-version of the program. numpydoc reads the docstrings. Furo is plain, searches without a server and fits small screens.
-Nothing is loaded from the network, neither while building nor by the pages: formulas are MathML.
+version of the program. numpydoc reads the docstrings, and tools/docs_site.py adds keys and
+commands. Furo is plain, searches without a server and fits small screens. Nothing is loaded from the network, neither
+while building nor by the pages: formulas are MathML.
 """
 
 from importlib.metadata import version as version_of
@@ -16,7 +17,7 @@ project = "lfmesh"
 author = project_copyright = "lfmesh contributors"
 version = release = version_of("lfmesh")
 
-extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc"]
+extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "docs_site"]
 root_doc = "assets/docs/index"
 highlight_language = "none"
 default_role = "code"

@@ -56,7 +56,7 @@ def test_the_reference_has_every_table_and_key_of_each_kind_of_file(reference: M
     for name, table in {FILES[kind].__name__: schema, **schema["$defs"]}.items():
         section = page.split(f"\n(table-{name.lower()})=\n")[1].split("\n(table-")[0]
         for key in table["properties"]:
-            assert f"\n`{key}`: " in section, f"{name}.{key}"
+            assert section.count(f"\n```{{key}} {name}.{key}\n") == 1, f"{name}.{key}"
     assert "(no description)" not in page
     assert ("any value" in page) == (kind != "scene"), "what a study gives to a path may be anything"
 
@@ -100,6 +100,7 @@ def test_the_reference_has_every_command_with_its_help(reference: ModuleType) ->
     assert {name.split()[0] for name in named} == top
     assert {"lens list", "lens convert", "lens sheet", "render"} <= named
     assert page.count("Usage: lfmesh") == len(named)
+    assert set(re.findall(r"^```\{command\} (.+)\n:no-typesetting:$", page, flags=re.MULTILINE)) == named
 
 
 def test_the_python_reference_has_every_public_name_once_below_an_example(tools: Tools) -> None:

@@ -1,8 +1,8 @@
 """Settings of the documentation site, which tools/docs builds.
 
 myst-nb reads the Markdown pages and guides as they are, and runs the notebooks during the build, each once for a
-version of the program. numpydoc reads the docstrings, and tools/docs_site.py adds keys and
-commands. Furo is plain, searches without a server and fits small screens. Nothing is loaded from the network, neither
+version of the program. numpydoc reads the docstrings, and tools/docs_site.py adds keys, commands and labels of
+cells. Furo is plain, searches without a server and fits small screens. Nothing is loaded from the network, neither
 while building nor by the pages: formulas are MathML.
 """
 
@@ -26,6 +26,8 @@ html_theme = "furo"
 html_title = "lfmesh"
 html_math_renderer = "mathml"
 html_copy_source = False
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 
 myst_heading_anchors = 3
 myst_enable_extensions = ["deflist"]

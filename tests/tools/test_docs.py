@@ -124,6 +124,22 @@ def test_a_public_name_without_a_page_is_refused(tools: Tools) -> None:
         with_names({"one": "# Names"})
 
 
+def test_wide_tables_have_their_headings_in_every_cell_that_is_not_empty(tools: Tools) -> None:
+    pytest.importorskip("furo")
+    from docutils.core import publish_doctree
+
+    wide = "+---+---+---+\n| a | b | c |\n+===+===+===+\n| 1 |   | 3 |\n+---+---+---+\n"
+    page = publish_doctree(f"{wide}\n\n=== ===\na   b\n=== ===\n1   2\n=== ===\n")
+    tools("docs_site").label_cells(None, page)
+    first, second = page.findall(lambda node: node.tagname == "table")
+    assert "wide" in first["classes"]
+    assert "wide" not in second["classes"]
+    cells = list(first.findall(lambda node: node.tagname == "entry"))[3:]
+    assert [cell.astext().split() for cell in cells] == [["a", "1"], [], ["c", "3"]]
+    assert ["empty" in cell["classes"] for cell in cells] == [False, True, False]
+    assert cells[0].children[0]["classes"] == ["cell-label"]
+
+
 def test_a_render_is_kept_until_scene_or_program_change(pictures: ModuleType) -> None:
     scene = pictures.reduced(lfmesh.load(ROOT / "assets/scenes/lytro_class.toml"))
     assert max(scene.camera.sensor.pixels) == pictures.MOST_PIXELS

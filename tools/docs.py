@@ -4,8 +4,9 @@
 
 The pages and their files are copied into FOLDER/source as they lie in the project, so that links hold in both. The
 program's own words (keys of files, commands, gallery, figures of the validation) are written beside them; some pages
-get their Python names, or pictures of warnings. Sphinx makes FOLDER/html of it. Any warning fails, as does a test of
-the validation. Renders, notebooks and figures are kept in FOLDER by the digest of their input and of the program.
+get their Python names, or pictures of warnings. Sphinx makes FOLDER/html of it. Any warning fails, as does a broken
+link or a test of the validation. Renders, notebooks and figures are kept in FOLDER by the digest of their input and of
+the program.
 """
 
 import argparse
@@ -18,6 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from docs_gallery import gallery, warned
+from docs_links import broken_links
 from docs_python import with_names
 from docs_reference import commands_page, file_pages
 from docs_validation import validation
@@ -30,7 +32,7 @@ PAGES = Path("assets/docs")
 """Of the site, in the project and in the copy."""
 
 GUIDES = ["*.md", "lfmesh/**/*.md", "tests/**/README.md", "tools/README.md", "LICENSE", "CITATION.cff"]
-ASSETS = ["docs", "notebooks", "pictures", "scenes", "designs", "lenses"]
+ASSETS = ["docs", "notebooks", "pictures", "scenes", "designs", "lenses", "cameras"]
 REDIRECT = '<!doctype html><meta http-equiv="refresh" content="0; url=assets/docs/index.html"><title>lfmesh</title>\n'
 
 
@@ -52,10 +54,13 @@ def main(arguments: list[str]) -> int:
         ]
     )
     (folder / "html" / "index.html").write_text(REDIRECT, encoding="utf-8")
+    broken = list(broken_links(folder / "html"))
     print(f"generated pages {said:.0f} s, all {time.perf_counter() - begun:.0f} s: {folder}/html/index.html")
+    for fault in broken:
+        print(f"broken link in {fault}", file=sys.stderr)
     if not valid:
         print("a test of the validation has failed: see its page", file=sys.stderr)
-    return code if valid else 1
+    return code if valid and not broken else 1
 
 
 def write_sources(folder: Path, *, quick: bool) -> bool:

@@ -124,6 +124,15 @@ def test_a_public_name_without_a_page_is_refused(tools: Tools) -> None:
         with_names({"one": "# Names"})
 
 
+def test_the_site_has_the_cameras_of_lfmesh_new(tools: Tools, tmp_path: Path) -> None:
+    pytest.importorskip("furo")
+    docs = tools("docs")
+    docs.copy_sources(tmp_path, {Path("assets/docs/start.md"): b"another text"})
+    names = {path.name for path in (ROOT / "assets" / "cameras").glob("*.toml")}
+    assert names == {path.name for path in (tmp_path / "assets" / "cameras").iterdir()}
+    assert (tmp_path / "assets" / "docs" / "start.md").read_text() == "another text"
+
+
 def test_wide_tables_have_their_headings_in_every_cell_that_is_not_empty(tools: Tools) -> None:
     pytest.importorskip("furo")
     from docutils.core import publish_doctree
@@ -138,6 +147,22 @@ def test_wide_tables_have_their_headings_in_every_cell_that_is_not_empty(tools: 
     assert [cell.astext().split() for cell in cells] == [["a", "1"], [], ["c", "3"]]
     assert ["empty" in cell["classes"] for cell in cells] == [False, True, False]
     assert cells[0].children[0]["classes"] == ["cell-label"]
+
+
+def test_broken_links_of_a_site_are_found(tools: Tools, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.html").write_text(
+        '<p id="here"><a href="../b.html#there">1</a><a href="#here">2</a><a href="../b.html?x=1">3</a>'
+        '<a href="https://example.org/none">4</a><img src="none.png"><a href="../b.html#nowhere">5</a>'
+        '<a href="#no">6</a>'
+    )
+    (tmp_path / "b.html").write_text('<a name="there" href="in/a%2Ehtml">7</a><link href="in/none.css">')
+    assert list(tools("docs_links").broken_links(tmp_path)) == [
+        "b.html: in/none.css: there is no such file",
+        "in/a.html: none.png: there is no such file",
+        "in/a.html: ../b.html#nowhere: the page has no such place",
+        "in/a.html: #no: the page has no such place",
+    ]
 
 
 def test_a_render_is_kept_until_scene_or_program_change(pictures: ModuleType) -> None:

@@ -4,9 +4,9 @@
 
 The pages and their files are copied into FOLDER/source as they lie in the project, so that links hold in both. The
 program's own words (keys of files, commands, gallery, figures of the validation) are written beside them; some pages
-get their Python names, or pictures of warnings. Sphinx makes FOLDER/html of it. Any warning fails, as does a broken
-link or a test of the validation. Renders, notebooks and figures are kept in FOLDER by the digest of their input and of
-the program.
+get their Python names, pictures of warnings, or a figure that this build measured. Sphinx makes FOLDER/html of it. Any
+warning fails, as does a broken link or a test of the validation. Renders, notebooks and figures are kept in FOLDER by
+the digest of their input and of the program.
 """
 
 import argparse
@@ -18,6 +18,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from docs_accuracy import accuracy_picture
 from docs_gallery import gallery, warned
 from docs_links import broken_links
 from docs_python import with_names
@@ -39,7 +40,7 @@ REDIRECT = '<!doctype html><meta http-equiv="refresh" content="0; url=assets/doc
 def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="tools/docs", description="Build the documentation site.")
     parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "build" / "docs")
-    parser.add_argument("--quick", action="store_true", help="leave out gallery, notebooks and validation")
+    parser.add_argument("--quick", action="store_true", help="leave out renders, notebooks and measurements")
     wanted = parser.parse_args(arguments)
     folder = wanted.folder.resolve()
     begun = time.perf_counter()
@@ -73,6 +74,8 @@ def write_sources(folder: Path, *, quick: bool) -> bool:
     for name, text in pages.items():
         keep(generated / f"{name}.md", text.encode())
     changed = {**python_pages(), **warning_pages(warns, folder / "source")}
+    if (picture := accuracy_picture(folder / "accuracy", program, quick=quick)) is not None:
+        changed[Path("assets/pictures/accuracy.png")] = picture.read_bytes()
     copy_sources(folder / "source", changed)
     return valid
 

@@ -145,7 +145,7 @@ def from_photographs(run: Path) -> None:
             resized.save(PICTURES / picture, optimize=True)
 
 
-def from_report(report: Path) -> None:
+def from_report(report: Path, picture: Path = PICTURES / "accuracy.png") -> None:
     """Write the main figure of the accuracy of the first scene: what a facet stands for, and what an image costs."""
     lenses = read_csv((report / LENS_CSV).read_text(encoding="utf-8"), LensRow)
     images = read_csv((report / IMAGE_CSV).read_text(encoding="utf-8"), ImageRow)
@@ -158,7 +158,7 @@ def from_report(report: Path) -> None:
         figures.finish(left, f"{rows[0].lens}: what a facet stands for")
         figures.draw_efficiency(right, images)
         figures.finish(right, "first light: ways to estimate its image")
-        figure.savefig(PICTURES / "accuracy.png", dpi=FIGURE_DPI)
+        figure.savefig(picture, dpi=FIGURE_DPI)
 
 
 def from_notebook(notebook: Path) -> None:

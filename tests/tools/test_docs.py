@@ -165,6 +165,26 @@ def test_broken_links_of_a_site_are_found(tools: Tools, tmp_path: Path) -> None:
     ]
 
 
+def test_the_accuracy_of_the_site_is_measured_once_for_a_program(
+    tools: Tools, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = tools("docs_accuracy")
+    measured: list[str] = []
+
+    class Report:
+        def write(self, folder: Path) -> None:
+            folder.mkdir(parents=True)
+
+    monkeypatch.setattr(made, "measure", lambda scene: measured.append(scene.name) or Report())
+    monkeypatch.setattr(made.make_pictures, "from_report", lambda folder, picture: picture.write_bytes(b"figure"))
+    assert made.accuracy_picture(tmp_path, "one", quick=True) is None
+    for program in ("one", "one", "two"):
+        picture = made.accuracy_picture(tmp_path, program, quick=False)
+        assert picture.read_bytes() == b"figure"
+    assert measured == ["first light", "first light"]
+    assert made.accuracy_picture(tmp_path, "two", quick=True) == picture
+
+
 def test_a_render_is_kept_until_scene_or_program_change(pictures: ModuleType) -> None:
     scene = pictures.reduced(lfmesh.load(ROOT / "assets/scenes/lytro_class.toml"))
     assert max(scene.camera.sensor.pixels) == pictures.MOST_PIXELS

@@ -26,31 +26,33 @@ Schema = dict[str, Any]
 GUIDE = "../../../lfmesh/study/README.md"
 """To studies, designs and datasets, from a page of the reference."""
 
+COMMANDS = "../../../lfmesh/cli/README.md"
+
 
 def file_pages() -> dict[str, str]:
     """Return the reference of each kind of file that lfmesh reads, one section a table, by the name of the page."""
     return {
         "scene": _file_page(
             Scene,
-            "Scene file",
+            "Keys of a scene file",
             "A scene file is TOML. Every number carries its unit in its name. `lfmesh schema` prints this page as JSON "
             "Schema, by which editors complete; [The scene file](../../../lfmesh/scene/README.md) explains by example.",
         ),
         "study": _file_page(
             StudyFile,
-            "Study file",
+            "Keys of a study file",
             f"A study file is TOML, and `lfmesh study` takes it. [Studies]({GUIDE}#the-study-file) explain by example.",
             *("Metrics and their columns", _metrics()),
         ),
         "design": _file_page(
             DesignFile,
-            "Design file",
+            "Keys of a design file",
             f"A design file is TOML, and `lfmesh optimise` takes it. [Designs]({GUIDE}#designs) explain by example.",
             *("Metrics of merit and constraints", _figures()),
         ),
         "dataset": _file_page(
             DatasetFile,
-            "Dataset file",
+            "Keys of a dataset file",
             f"A dataset file is TOML, and `lfmesh dataset` takes it. [Datasets]({GUIDE}#datasets) explain by example.",
         ),
     }
@@ -172,7 +174,8 @@ def plain(text: str) -> str:
 
 def commands_page() -> str:
     """Return the reference of the command line, from the help of each command."""
-    lines = ["# Commands", "", "Each command prints this with `--help`. The list of them by task: `lfmesh --help`.", ""]
+    lines = ["# Options of the commands", "", "Each command prints this with `--help`."]
+    lines += [f"`lfmesh --help` lists the commands by task; [The commands]({COMMANDS}) explains them.", ""]
     for words in commands(app):
         name = " ".join(words)
         lines += [f"## lfmesh {name}", "", f"```{{command}} {name}", ":no-typesetting:", "```", ""]

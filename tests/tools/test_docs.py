@@ -124,6 +124,42 @@ def test_a_public_name_without_a_page_is_refused(tools: Tools) -> None:
         with_names({"one": "# Names"})
 
 
+ARTICLES = re.compile(r"^(?:the|an?) ")
+
+
+def titles(reference: ModuleType) -> dict[str, str]:
+    """Return the title in the sidebar of every page, by the page."""
+    docs = ROOT / "assets" / "docs"
+    generated = {**reference.file_pages(), "commands": reference.commands_page()}
+    generated |= {"gallery": "# Gallery\n", "validation": "# Figures of the validation\n"}
+    found: dict[str, str] = {}
+    for page in docs.glob("*.md"):
+        for listed in re.findall(r"^```\{toctree\}\n(.*?)^```$", page.read_text(), flags=re.MULTILINE | re.DOTALL):
+            for line in filter(None, listed.splitlines()):
+                if line.startswith(":"):
+                    continue
+                named = re.fullmatch(r"(.+) <(.+)>", line)
+                path = named[2] if named else line
+                source = ROOT / path.lstrip("/") if path.startswith("/") else docs / path
+                if path.startswith("generated/"):
+                    text = generated[Path(path).name]
+                elif source.with_suffix(".ipynb").is_file():
+                    text = "".join(json.loads(source.with_suffix(".ipynb").read_text())["cells"][0]["source"]) + "\n"
+                else:
+                    text = source.with_name(f"{source.name}.md").read_text()
+                assert path not in found, f"{path} is listed twice"
+                found[path] = named[1] if named else re.findall(r"^# (.+)$", text, flags=re.MULTILINE)[0]
+    return found
+
+
+def test_no_two_pages_have_the_same_title_in_the_sidebar(reference: ModuleType) -> None:
+    found = {path: ARTICLES.sub("", title.lower()) for path, title in titles(reference).items()}
+    assert len(found) > 60
+    twins = {title for title in found.values() if list(found.values()).count(title) > 1}
+    assert not twins
+    assert "lfmesh" not in found.values(), "the title of the site"
+
+
 def test_the_site_has_the_cameras_of_lfmesh_new(tools: Tools, tmp_path: Path) -> None:
     pytest.importorskip("furo")
     docs = tools("docs")

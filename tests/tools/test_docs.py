@@ -6,7 +6,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,6 +21,7 @@ from lfmesh.study.metrics.metrics import METRICS
 from lfmesh.study.optimise.design_file import DesignFile
 from lfmesh.study.optimise.figures import FIGURES
 from lfmesh.study.sweeps.study_file import StudyFile
+from tests.conftest import chromium
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -310,15 +311,76 @@ def test_figures_of_the_validation_are_those_that_its_comparisons_have(
     assert pages.validation(tmp_path / "kept", "two", quick=True)[0].endswith("Not run in this build.\n")
 
 
-@pytest.mark.long
-def test_the_site_builds_without_a_warning_and_loads_nothing_from_the_network(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the site, built without renders: any warning or broken link would fail it."""
     pytest.importorskip("furo")
+    folder = tmp_path_factory.mktemp("site")
     built = subprocess.run(
-        [sys.executable, str(ROOT / "tools" / "docs.py"), str(tmp_path), "--quick"],
+        [sys.executable, str(ROOT / "tools" / "docs.py"), str(folder), "--quick"],
         capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=1200,
     )  # fmt: skip
     assert built.returncode == 0, built.stderr
-    pages = {path: path.read_text(encoding="utf-8") for path in (tmp_path / "html").rglob("*.html")}
+    return folder / "html"
+
+
+@pytest.fixture(scope="module")
+def browser(site: Path) -> Iterator[Any]:
+    """Return a browser's page of 390 pixels' width."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        running = driver.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
+        yield running.new_page(viewport={"width": 390, "height": 844})
+        running.close()
+
+
+@pytest.mark.long
+def test_the_site_builds_without_a_warning_and_loads_nothing_from_the_network(site: Path) -> None:
+    pages = {path: path.read_text(encoding="utf-8") for path in site.rglob("*.html")}
     assert {"start.html", "render.html", "ghost_hunt.html", "README.html"} <= {path.name for path in pages}
+    assert {f"{path.stem}.html" for path in (ROOT / "assets/docs/warnings").iterdir()} <= {path.name for path in pages}
     for path, text in pages.items():
         assert not re.findall(r"<(?:script|link|img)\b[^>]*\b(?:src|href)=\"https?://", text), path
+
+
+@pytest.mark.long
+def test_signatures_of_the_python_reference_have_no_types(site: Path) -> None:
+    """Types stand in the sections of the docstring, in words: numpy's aliases are spelt out at great length."""
+    for path in (site / "assets" / "docs" / "python").glob("*.html"):
+        signatures = re.findall(r"<dt class=\"sig[^>]*>(.*?)</dt>", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+        assert signatures, path
+        for text in (re.sub(r"<[^>]+>", "", each) for each in signatures):
+            assert not re.search(r"dtype|ndarray|NDArray|numpy\.|typing\.|_ScalarType", text), text
+
+
+@pytest.mark.long
+@pytest.mark.browser
+def test_every_page_and_its_tables_fit_a_screen_of_390_pixels(site: Path, browser: Any) -> None:
+    wide = (
+        "() => [...document.querySelectorAll('.table-wrapper')].filter(e => e.scrollWidth > e.clientWidth + 1).length"
+    )
+    for path in sorted(site.rglob("*.html")):
+        browser.goto(path.as_uri())
+        assert browser.evaluate(wide) == 0, path
+        assert browser.evaluate("document.documentElement.scrollWidth") <= 390, path
+
+
+@pytest.mark.long
+@pytest.mark.browser
+@pytest.mark.parametrize(
+    ("query", "target"),
+    [
+        ("stop_semi_diameter_mm", "generated/scene.html#key-Lens.stop_semi_diameter_mm"),
+        ("radius_mm", "generated/scene.html#key-Surface.radius_mm"),
+        ("BlackPictureWarning", "warnings/BlackPictureWarning.html"),
+        ("refocus", "generated/commands.html#command-refocus"),
+        ("lens convert", "generated/commands.html#command-lens-convert"),
+        ("estimate_depth", "python/lightfield.html#lfmesh.estimate_depth"),
+    ],
+)
+def test_the_search_finds_keys_commands_warnings_and_names(site: Path, browser: Any, query: str, target: str) -> None:
+    browser.goto(f"{(site / 'search.html').as_uri()}?q={query.replace(' ', '+')}")
+    browser.wait_for_function("document.querySelector('.search-summary')?.innerText.includes('found')")
+    links = browser.eval_on_selector_all("ul.search > li > a", "all => all.map(a => a.href)")
+    assert any(link.endswith(target) for link in links[:12]), links

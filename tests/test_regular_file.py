@@ -89,7 +89,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         os.chdir(here)
         kept.append(bound)
     (folder / "scene.toml").write_text(bench_camera(4, 4))
-    (folder / "white.png").write_bytes((PACKAGE.parent / "assets" / "pictures" / "view.png").read_bytes())
+    (folder / "white.png").write_bytes((PACKAGE.parent / "assets" / "pictures" / "near.png").read_bytes())
     yield folder
     for bound in kept:
         bound.close()

@@ -1,7 +1,7 @@
-"""Make the pictures of the README, and those of scenes with media.
+"""Make the pictures of the README and the guides.
 
-From a run of the demo, one that was refocused, a report of its accuracy, a scene to be seen in 3D, or several of them:
-tools/run demo -o run, tools/run accuracy assets/scenes/first_light.toml -o report, then
+From a run of the demo, one that was refocused, a report of the accuracy, a scene to be seen in 3D, or several of them:
+tools/run demo -o run --samples 128, tools/run accuracy assets/scenes/first_light.toml -o report, then
 tools/make_pictures.py run report assets/scenes/first_light.toml. From runs of the flame, the particles and the tank,
 tools/run render assets/scenes/flame.toml -o flame --white: their views. From an example notebook: its last figure.
 """
@@ -26,6 +26,7 @@ from lfmesh.accuracy.lens_accuracy import LENS_ALONE, LensRow
 from lfmesh.accuracy.report import IMAGE_CSV, LENS_CSV
 from lfmesh.accuracy.tables import read_csv
 from lfmesh.assets import asset_path
+from lfmesh.files.run import OVERVIEW
 from lfmesh.scene import load
 
 PICTURES = Path(__file__).resolve().parent.parent / "assets" / "pictures"
@@ -41,7 +42,7 @@ AXES_FONT = 9.0
 PICTURE_COLOURS = 128
 """Of the palette that keeps these pictures small."""
 
-NEAR, FAR = "refocused_430mm.png", "refocused_600mm.png"
+NEAR, FAR = "refocused_450mm.png", "refocused_600mm.png"
 
 VIEWS: dict[str, dict[str, Any]] = {
     "camera.png": {},
@@ -69,6 +70,7 @@ MEDIA = ("flame", "particles", "tank")
 """Names of scenes of which the view is a picture."""
 
 VIEW_PX = (960, 600)
+OVERVIEW_COLOURS = 256
 VIEW_COLOURS = 64
 """Of the palette that keeps these pictures small."""
 
@@ -77,29 +79,19 @@ FIGURE_DPI = 120
 
 
 def from_run(run: Path) -> None:
-    """Write the raw image, a detail of it, and the view, all of one size."""
-    scene = load(run / "scene.toml")
-    pixel = scene.camera.sensor.pixel_mm
+    """Write the overview of the demo, and a detail of its raw image."""
+    with Image.open(run / OVERVIEW) as sheet:
+        # Median cut would spend the palette on large areas, and draw thin coloured rays in grey.
+        method, dither = Image.Quantize.MAXCOVERAGE, Image.Dither.NONE
+        colours = sheet.convert("RGB").quantize(OVERVIEW_COLOURS, method, kmeans=1, dither=dither)
+        colours.save(PICTURES / OVERVIEW, optimize=True)
+    pixel = load(run / "scene.toml").camera.sensor.pixel_mm
     with Image.open(run / "preview.png") as raw:
-        middle = raw.width // 2 - SIDE_PX // 2
-        for name, (x, y, side) in {
-            "micro_images": (*DETAIL_CORNER, DETAIL_PX),
-            "raw": (middle, middle, SIDE_PX),
-        }.items():
-            left, top = (x - raw.width / 2) * pixel, (raw.height / 2 - y) * pixel
-            extent = (left, left + side * pixel, top - side * pixel, top)
-            write_with_axes(raw.crop((x, y, x + side, y + side)), extent, "mm on the sensor", name)
-    write_view(run, "view")
-
-
-def write_view(run: Path, name: str) -> None:
-    """Write the middle view of a run, with axes in the plane in focus."""
-    scene = load(run / "scene.toml")
-    report = lfmesh.first_order(scene)
-    half = [0.5 * count * scene.camera.mla.pitch_mm / abs(report.magnification) for count in scene.camera.mla.count]
-    with Image.open(run / "preview_view.png") as view:
-        extent = (-half[0], half[0], -half[1], half[1])
-        write_with_axes(view, extent, f"mm in the plane in focus, at {report.object_distance_mm:.0f} mm", name)
+        x, y = DETAIL_CORNER
+        left, top = (x - raw.width / 2) * pixel, (raw.height / 2 - y) * pixel
+        extent = (left, left + DETAIL_PX * pixel, top - DETAIL_PX * pixel, top)
+        detail = raw.crop((x, y, x + DETAIL_PX, y + DETAIL_PX))
+        write_with_axes(detail, extent, "mm on the sensor", "micro_images")
 
 
 def write_with_axes(picture: Image.Image, extent: tuple[float, float, float, float], what: str, name: str) -> None:

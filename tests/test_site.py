@@ -1,5 +1,6 @@
 """The pages of the documentation site do what they say: commands and snippets run, every warning is explained."""
 
+import importlib
 import re
 import shlex
 import subprocess
@@ -140,3 +141,13 @@ def test_the_settings_of_the_guide_to_decoders_are_those_that_decode(monkeypatch
     wanted = [packages for steps in interop.INSTALLATIONS.values() for packages in steps]
     assert [words[words.index("install") + 1 :] for words in installs] == wanted
     assert f'cal_meth = "{_SETTINGS["cal_meth"]}"' in PAGES["interop"]
+
+
+def test_a_picture_of_a_warning_is_on_its_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    drawn = set(importlib.import_module("make_warnings").PAIRS)
+    assert drawn == {path.stem for path in (ROOT / "assets" / "pictures").glob("*Warning.png")}
+    for path in (ROOT / "assets" / "docs" / "warnings").glob("*.md"):
+        text = path.read_text(encoding="utf-8")
+        assert (f"](../../pictures/{path.stem}.png)\n\n" in text) == (path.stem in drawn)
+        assert ("Left:" in text) == (path.stem in drawn), "says what is shown"

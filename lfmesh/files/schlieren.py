@@ -101,8 +101,8 @@ def _draw(path: Path, result: Schlieren) -> None:
         result.t_px[-1] + 0.5 * rows, result.t_px[0] - 0.5 * rows,
     )  # fmt: skip
     top = float(np.nanpercentile(np.abs(deflection), 99.0)) if np.isfinite(deflection).any() else 1.0
-    signed = {"vmin": -top, "vmax": top, "cmap": "gray"}
-    pictures = [
+    signed: dict[str, Any] = {"vmin": -top, "vmax": top, "cmap": "gray"}
+    pictures: list[tuple[Any, str, Any, dict[str, Any]]] = [
         (across, "deflection towards +x / mrad", deflection[..., 0], signed),
         (up, "deflection towards +y / mrad", deflection[..., 1], signed),
         (errors, "standard error of the deflection / mrad", error, {"cmap": "viridis"}),

@@ -114,7 +114,7 @@ def overview(image: Image, distances_mm: tuple[float, float], say: Callable[[str
     _draw(figure, camera, (MARGIN, upper), caption)
     _draw(figure, raw, (WIDTH - MARGIN - LARGE, upper), f"a part of the raw image: {part}")
     middle = field.view(field.views[0] // 2, field.views[1] // 2)
-    lights = [middle, *(photograph.mean for photograph in photographs)]
+    lights: list[NDArray[np.floating[Any]]] = [middle, *(photograph.mean for photograph in photographs)]
     captions = [f"one of {field.views[1]} × {field.views[0]} views"]
     captions += [f"refocused to {photograph.distance_mm:g} mm" for photograph in photographs]
     for number, (light, caption) in enumerate(zip(lights, captions, strict=True)):
@@ -168,9 +168,9 @@ def _reduced(picture: PIL.Image.Image, size: tuple[int, int]) -> Picture:
 
 def _layout(scene: Scene) -> PIL.Image.Image:
     """Return the layout drawing on a sheet of the right shape."""
-    with PIL.Image.open(io.BytesIO(encoded(layout(scene), "png"))) as drawn:
+    with PIL.Image.open(io.BytesIO(encoded(layout(scene), "png"))) as file:
         sheet = PIL.Image.new("RGB", DRAWN, "white")
-        drawn = PIL.ImageOps.contain(drawn.convert("RGB"), DRAWN)
+        drawn = PIL.ImageOps.contain(file.convert("RGB"), DRAWN)
         sheet.paste(drawn, ((DRAWN[0] - drawn.width) // 2, (DRAWN[1] - drawn.height) // 2))
     return sheet
 

@@ -78,10 +78,11 @@ class OuterZone(Form):
         float or array
             mm.
         """
-        if np.ndim(height_mm) == 0:
+        if isinstance(height_mm, float | int):
             return self.zone_at(surface, float(height_mm)).sag(height_mm)
         inner, outer = self.zones(surface)
-        return np.where(np.abs(height_mm) > self.border_mm, outer.sag(height_mm), inner.sag(height_mm))
+        heights = np.asarray(height_mm)
+        return np.asarray(np.where(np.abs(heights) > self.border_mm, outer.sag(heights), inner.sag(heights)))
 
     def sag_at_mm(self, surface: SurfaceShape, x_mm: Heights, y_mm: Heights) -> Heights:
         """Return z above the vertex plane at a point.

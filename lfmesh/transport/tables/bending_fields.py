@@ -317,17 +317,15 @@ def beside(fields: BendingFields, number: int, points: Array) -> bool:
     )
 
 
-def with_free(fields: BendingFields | None, bodies: Sequence[Array]) -> BendingFields | None:
+def with_free(fields: BendingFields, bodies: Sequence[Array]) -> BendingFields:
     """Return the table with its free fields marked.
 
     Parameters
     ----------
-    fields : BendingFields or None
+    fields : BendingFields
     bodies : sequence of (n, 3) float64, mm
         Points round each target and round the housing, object frame.
     """
-    if fields is None:
-        return None
     free = [all(beside(fields, k, points) for points in bodies) for k in range(len(fields.free))]
     return fields._replace(free=np.array(free, np.bool_))
 

@@ -119,7 +119,7 @@ SMALLER = {
     "white": ["--samples", "8"],
     "depth": ["--samples", "4"],
 }
-ELSEWHERE = {"demo", "compare", "view", "accuracy", "frames", "study", "matrix", "optimise", "grid"}
+ELSEWHERE = {"demo", "compare", "view", "accuracy", "frames", "study", "matrix", "optimise", "grid", "schlieren"}
 """Run by their own tests, or by the pages' other commands; they take long, open a window, or need other scenes."""
 
 

@@ -355,14 +355,6 @@ def test_progress_on_a_terminal_has_rate_and_time_left(
     assert "%" in err
 
 
-def test_demo_renders_the_scene_that_comes_along(
-    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["demo", "--samples", "8"]) == 0
-    assert str(Path("lfmesh-demo") / "preview_view.png") in capsys.readouterr().out
-    assert lfmesh.open_run("lfmesh-demo").scene.camera.mla is not None
-
-
 def test_check_prints_the_first_order_report_and_warnings_are_no_error(
     scene_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

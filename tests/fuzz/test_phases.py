@@ -45,7 +45,7 @@ BAD = {
     "hologram of one point": '{ kind = "hologram", construction_nm = 550.0, point_1_mm = [0.0, 0.0, -90.0] }',
     "hologram of points in its plane": "{ " + HOLOGRAM.replace("60.0", "0.0") + " }",
     "zones without a zone": '{ kind = "zones", zones = [] }',
-    "zones without numbers": '{ kind = "zones", zones = [{ border_mm = 1.0 }, {}] }',
+    "zones without numbers": '{ kind = "zones", zones = [{}] }',
     "zones without an outer border": "{ " + ZONES.replace("border_mm = 1.0, ", "") + " }",
     "zones that end": "{ " + ZONES.replace("offset_rad = 0.5", "border_mm = 2.0") + " }",
     "zones of no width": "{ " + ZONES.replace("border_mm = 1.0", "border_mm = 0.0") + " }",

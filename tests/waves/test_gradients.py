@@ -185,7 +185,8 @@ FADING = {"kind": "axial", "index": 1.5, "coefficients": [-0.24]}
 
 def test_a_ray_that_turns_back_in_the_glass_is_named() -> None:
     """From n = 1.5 towards 1.02: a ray with n sin θ = 1.23 turns back, as in a mirage."""
-    scene = rod(FADING, 2.0, object_medium={"index": 1.5})
+    wide = {f"camera.lens.surfaces[{k}].semi_diameter_mm": 9.0 for k in (0, 1)}
+    scene = rod(FADING, 2.0, object_medium={"index": 1.5}).changed(wide)
     with pytest.raises(LfmeshError, match=r"the gradient-index glass behind surfaces\[0\], in which it turns away"):
         lf.wavefront(scene, math.tan(math.radians(55.0)), object_mm=math.inf, image_z_mm=10.0)
 

@@ -226,3 +226,22 @@ def test_micro_images_of_rods_with_an_intermediate_image_have_a_positive_size() 
     assert report.microlens_f_number == pytest.approx(1.0 / (N0 * G * abs(math.sin(UPRIGHT)) * PITCH_MM), rel=1e-6)
     assert report.micro_image_diameter_px is not None
     assert report.micro_image_diameter_px > 0.0
+
+
+@pytest.mark.parametrize(("magnification", "angle"), CASES)
+def test_traced_rays_from_a_point_land_where_its_rod_images_it(magnification: float, angle: float) -> None:
+    """Rays near each rod's axis: x_r + m (X − x_r)."""
+    scene = behind_window(magnification, angle, count=3)
+    before, _ = distances(magnification, angle)
+    axes, point = np.array([-PITCH_MM, 0.0, PITCH_MM]), 0.03
+    slopes = ((axes - point)[:, None] + np.linspace(-0.05, 0.05, 21)) / before
+    directions = np.stack([slopes, np.zeros_like(slopes), np.ones_like(slopes)], axis=-1).reshape(-1, 3)
+    start = np.array([point, 0.0, -OBJECT_MM]) + 1e-3 * directions
+    paths = lf.trace(lf.build(scene), start, directions, split="transmit")
+    rod = paths.source // 21
+    for number, axis in enumerate(axes):
+        landed = paths.position[(rod == number) & (paths.status == lf.Status.SENSOR), 0]
+        # Oblique beams through the outer rods have aberrations.
+        share = 0.005 if number == 1 else 0.05
+        assert len(landed) == 21 or number != 1
+        assert np.abs(landed - axis - magnification * (point - axis)).max(initial=0.0) < share * PITCH_MM

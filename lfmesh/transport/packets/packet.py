@@ -228,18 +228,20 @@ _CHILDREN = (
 POLARISED = _with_vectors(PACKET, *_STATE, *_CHILDREN)
 """Record of a packet in a scene with polarised light."""
 
-CHORD = 10
+CHORD = 11
 BENT = _with_vectors(PACKET, ("chord", (CHORD,)))
 """Record of a packet in a scene with media that bend light."""
 
-LENGTH, END_TX, END_TY, END_TZ, END_STATE, EVENT_AT_END, STATE, OPTICAL, PLANE, CHORDS = range(CHORD)
+LENGTH, END_TX, END_TY, END_TZ, END_STATE, EVENT_AT_END, STATE, OPTICAL, PLANE, CHORDS, SHARE = range(CHORD)
 """Elements of `chord`, the straight way to the next node, where a medium changes the direction.
 
 LENGTH, mm, is 0 until the chord is found, and inf if nothing bends the ray ahead. At the end of the chord: the optical
 ray vector (END_T...), the state, and an event at a face of a field, or NO_EVENT. STATE at the start is UNKNOWN, OUTSIDE
 all fields, k + 1 in field k, or OUTSIDE − (k + 1) just behind field k, which a straight ray does not meet again. In a
 field, OPTICAL is the length of the optical ray vector, or 0 for the index of the place; PLANE is the axis plus three
-times the slab ahead, or −1; CHORDS counts the chords since the entry.
+times the slab ahead, or −1; CHORDS counts the chords since the entry. SHARE is above 0 for a packet that a target or a
+medium sent into a field in the forward method: the share of a scattered one, beside its aimed twin, in light that
+reaches the lens.
 """
 
 UNKNOWN, OUTSIDE = 0.0, -1.0
@@ -405,7 +407,7 @@ def _begin_chord(bending: Any, parent: Any, child: Any) -> None:
     if bending is None:
         return
     child.chord[LENGTH], child.chord[STATE] = 0.0, max(parent.chord[STATE], OUTSIDE)
-    child.chord[OPTICAL], child.chord[PLANE], child.chord[CHORDS] = 0.0, NO_PLANE, 0.0
+    child.chord[OPTICAL], child.chord[PLANE], child.chord[CHORDS], child.chord[SHARE] = 0.0, NO_PLANE, 0.0, 0.0
 
 
 @inlined

@@ -28,6 +28,7 @@ from lfmesh.transport.packets.packet import (
     IN_FIELD,
     LAMP,
     LEFT_LENS,
+    LEFT_MEDIUM,
     LENGTH,
     NO_EVENT,
     NO_SURFACE,
@@ -37,8 +38,10 @@ from lfmesh.transport.packets.packet import (
     REFLECTED_AT_FACE,
     S_ABSORBED,
     SCATTERED,
+    SHARE,
     SPECULAR,
     STATE,
+    Flow,
     Options,
     count_event,
     keep_chord,
@@ -134,17 +137,23 @@ def _is_stopped_on_chord(fields: BendingFields, space: ObjectSpace, packet: Any)
         return True
     if event != NO_EVENT and too_deep(options, flow, frames, packet):
         return True
-    if packet.last != LEFT_LENS and _belongs_to_other(space, packet):
+    aims = packet.last != LEFT_LENS and not (options.adjoint or options.tracing)
+    if aims and packet.kind == CAMERA and packet.facet == NO_SURFACE:
+        # Aimed from rough glass: light that does not go straight to the lens belongs to the other child.
         flow.book[SAMPLING_REMOVED] += packet.weight
         return True
+    has_twin = aims and options.bounce and options.aimed and packet.facet != NO_SURFACE
+    has_twin = has_twin and (packet.kind == CAMERA or packet.kind == SCATTERED)
+    if has_twin and packet.chord[SHARE] == 0.0:
+        _set_share(space, packet)
     packet.x, packet.y, packet.z = travel(flow, objects.media, packet, packet.medium, packet.chord[LENGTH])
     tx, ty, tz = packet.chord[END_TX], packet.chord[END_TY], packet.chord[END_TZ]
     per = 1.0 / np.sqrt(tx * tx + ty * ty + tz * tz)
     packet.dx, packet.dy, packet.dz = per * tx, per * ty, per * tz
     before, after = packet.chord[STATE], packet.chord[END_STATE]
     packet.chord[LENGTH], packet.chord[STATE] = 0.0, after
-    packet.facet, packet.last = NO_SURFACE, NO_SURFACE
-    if packet.kind != LAMP:
+    packet.facet, packet.last = LEFT_MEDIUM if has_twin else NO_SURFACE, NO_SURFACE
+    if packet.kind != LAMP and not has_twin:
         packet.kind = SPECULAR
     if event == NO_EVENT:
         # Each chord has random numbers of its own.
@@ -180,15 +189,45 @@ def _is_absorbed(volumes: Any, space: ObjectSpace, packet: Any) -> bool:
 
 
 @inlined
-def _belongs_to_other(space: ObjectSpace, packet: Any) -> bool:
-    """Weight a packet that a target sends into a field, as one into glass; tell whether only its twin counts."""
-    options, flow, frames, _, aim = space
-    if options.adjoint or options.tracing:
+def _set_share(space: ObjectSpace, packet: Any) -> None:
+    """Weight an aimed packet beside its scattered twin, and note the share of a scattered one for `take_share`.
+
+    A scattered packet also lights targets and media behind the first chord, with its whole weight. Its aimed twin does
+    not, so that packets do not multiply from point to point of a medium.
+    """
+    book, weight = space.flow.book, packet.weight
+    share_with_other(space.flow, space.frames, space.aim, packet)
+    if packet.kind == CAMERA:
+        packet.chord[SHARE] = 1.0
+        return
+    packet.chord[SHARE] = packet.weight / weight
+    book[SAMPLING_REMOVED] -= weight - packet.weight
+    packet.weight = weight
+
+
+@inlined
+def is_shared(fields: Any, packet: Any) -> bool:
+    """Tell whether a packet shares light with a twin, through a field; `fields` : BendingFields or None."""
+    if fields is None:
         return False
-    if packet.kind == CAMERA and packet.facet == NO_SURFACE:
-        # Aimed from rough glass.
-        return True
-    aims = options.bounce and options.aimed and packet.facet != NO_SURFACE
-    if aims and (packet.kind == CAMERA or packet.kind == SCATTERED):
-        share_with_other(flow, frames, aim, packet)
-    return False
+    return packet.chord[SHARE] > 0.0
+
+
+@inlined
+def take_share(fields: Any, flow: Flow, packet: Any) -> None:
+    """Reduce a scattered packet from a field to its share beside its aimed twin, where both count: at lens or glass.
+
+    Parameters
+    ----------
+    fields : BendingFields or None
+        None: nothing bends light, and numba compiles only the first line.
+    flow : Flow
+    packet : BENT
+    """
+    if fields is None:
+        return
+    if packet.kind == SCATTERED and packet.chord[SHARE] > 0.0:
+        lost = packet.weight * (1.0 - packet.chord[SHARE])
+        packet.weight -= lost
+        flow.book[SAMPLING_REMOVED] += lost
+        packet.kind = SPECULAR

@@ -56,7 +56,7 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.paths.automaton import LAMP_ON_CAMERA, counts
-from lfmesh.transport.regions.fields import begin_in_field, to_chord_end
+from lfmesh.transport.regions.fields import begin_in_field, is_shared, take_share, to_chord_end
 from lfmesh.transport.regions.glass import Curved, through_glass
 from lfmesh.transport.regions.targets import meet_target, passes, share_with_other
 from lfmesh.transport.regions.volumes import Met, is_stopped_by_media, way_through_media
@@ -168,6 +168,7 @@ def shade_objects(
                     flow.book[LENS_FRONT] += packet.weight
                     continue
             elif enters:
+                take_share(objects.fields, flow, packet)
                 unaimed = packet.kind == SPECULAR or packet.kind == LAMP
                 by_itself = unaimed or (packet.kind == SCATTERED and not options.aimed)
                 if options.adjoint or packet.kind == CAMERA or by_itself:
@@ -186,7 +187,9 @@ def shade_objects(
             elif options.bounce and options.aimed and not options.adjoint and packet.facet != NO_SURFACE:
                 # It left a target, which sends two packets this way: one aimed at the lens, one unaimed.
                 into_glass = prim >= 0 and facet.body >= 0 and objects.medium[facet.body] != OPAQUE
-                if into_glass and (packet.kind == CAMERA or packet.kind == SCATTERED):
+                if into_glass and is_shared(objects.fields, packet):
+                    take_share(objects.fields, flow, packet)
+                elif into_glass and (packet.kind == CAMERA or packet.kind == SCATTERED):
                     share_with_other(flow, frames, aim, packet)
                 elif packet.kind == CAMERA:
                     # Neither into the lens nor into glass: the unaimed packet lights whatever is there.

@@ -18,7 +18,7 @@ from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about
 from lfmesh.transport.aims.mixture import aimed
-from lfmesh.transport.events.bending import squared_index_of_emission
+from lfmesh.transport.events.bending import is_in_field, squared_index_of_emission
 from lfmesh.transport.events.bodies import RANK, bodies_round
 from lfmesh.transport.events.crossing import deposit, end_here, record, too_deep, windowed
 from lfmesh.transport.events.facets import meets_patch
@@ -59,8 +59,8 @@ RETURNED = 10.0
 """Forward: relative weight to which roulette raises packets returned by the lens and scattered by a medium. Each
 scattering point aims a packet at the lens; fog before the lens would otherwise multiply packets without end."""
 
-COSINE, AZIMUTH, KEEP, DISK, TO_U, TO_V, RETURN = 3, 4, 5, 6, 7, 8, 9
-"""Dimensions of a scattering point's random numbers, between those of `events.volume` and `lights.combine`."""
+COSINE, AZIMUTH, KEEP, DISK, TO_U, TO_V, RETURN, ON_CHORD = 3, 4, 5, 6, 7, 8, 9, 11
+"""Dimensions of a scattering point's random numbers, beside those of `events.volume` and `lights.combine`."""
 
 
 class Met(NamedTuple):
@@ -195,14 +195,20 @@ def cross_media(space: ObjectSpace, packet: Any, reach: float) -> None:
     point = scattering_point(volumes, line, passage, key)
     packet.weight = weight * point.share
     flow.book[SAMPLING_ADDED] += packet.weight - lost
+    bent = is_in_field(objects.fields, packet)
+    if bent:
+        # A child of each chord would multiply packets without end; of a curve there are as many as collisions.
+        packet.weight = windowed(flow.book, packet.weight, weight, key, ON_CHORD)
     flow.counts[EVENTS] += 1
     if packet.kind == CAMERA and packet.last == LEFT_LENS and not (options.adjoint or options.tracing):
         packet.weight = windowed(flow.book, packet.weight, RETURNED * packet.start, key, RETURN)
     if packet.weight > 0.0 and not too_deep(options, flow, frames, packet):
-        if options.adjoint and estimated and bodies_round(packet) == 0 and len(objects.lamps.rows) > 0:
+        # No shadow packet leaves a field.
+        asks = options.adjoint and estimated and not bent
+        if asks and bodies_round(packet) == 0 and len(objects.lamps.rows) > 0:
             ask_lamps_on_line(space, packet, weight, line, passage, point, key)
         place = along(line.ray, point.t)
-        if options.adjoint and estimated:
+        if asks:
             packet.facet = IN_FOG
             wait_for_lights(space, packet, place, point.medium, key)
         scatter_in_medium(space, packet, point.medium, place, key)

@@ -101,7 +101,7 @@ def through(p: Array, d: Array, nm: float) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("nm", DISCS)
 def test_both_engines_follow_the_formulas_in_both_zones(nm: float) -> None:
-    """Skew rays over the aperture, to 1e-11 mm and 1e-11 in direction; none within 1e-3 mm of the border."""
+    """Skew rays over the aperture, to 1e-11 mm and 1e-11 in direction; none within 0.05 mm of the border."""
     draw = np.random.default_rng(int(nm))
     heights = draw.uniform(0.0, 1.9, 60)
     heights = heights[np.abs(heights - BORDER) > 0.05]
@@ -123,7 +123,7 @@ def test_both_engines_follow_the_formulas_in_both_zones(nm: float) -> None:
 
 @pytest.mark.parametrize("nm", DISCS)
 def test_each_zone_focuses_where_its_designer_says(nm: float) -> None:
-    """All rays of a beam along the axis meet the disc's back within 1.1 µm of the axis, at slopes up to 0.4."""
+    """All rays of a beam along the axis meet the disc's back within 1.1 µm of the axis, at sines up to 0.35."""
     height = DISCS[nm][3]
     heights = np.array([h for h in np.linspace(0.05, height, 40) if abs(h - BORDER) > 1e-3])
     p = np.column_stack([heights, 0.0 * heights, np.full(len(heights), -2.0)])
@@ -133,7 +133,7 @@ def test_each_zone_focuses_where_its_designer_says(nm: float) -> None:
     arrived = paths.status == lf.Status.SENSOR
     assert arrived.sum() == len(heights)
     assert np.hypot(*paths.position[arrived, :2].T).max() < 1.1e-3
-    assert np.abs(paths.direction[arrived, 0]).max() > (0.3 if nm == 650.0 else 0.28)
+    assert np.abs(paths.direction[arrived, 0]).max() > (0.3 if nm == 650.0 else 0.27)
 
 
 def test_the_outer_zone_is_out_of_focus_for_the_other_disc() -> None:

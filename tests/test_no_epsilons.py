@@ -83,7 +83,7 @@ DIMENSIONLESS = {
     "transport/tables/volumes.py": {"COLDEST_K", "ROUNDING"},
     "transport/refused_fields.py": {"PARALLEL", "ROUNDING"},
     "transport/refused_glass.py": {"JUST_BESIDE"},
-    "transport/tables/bending_fields.py": {"FORMULA_PRECISION", "LEAST_STEP"},
+    "transport/tables/bending_fields.py": {"FORMULA_PRECISION", "LEAST_STEP", "ROUNDING_RAD"},
     "transport/tables/contacts.py": {"CUT"},
     "transport/sources/face_starts.py": {"ON_FACE"},
     "transport/tables/lights.py": {"MM2"},

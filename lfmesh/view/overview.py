@@ -93,7 +93,13 @@ def save_overview(
 
 
 def overview(image: Image, distances_mm: tuple[float, float], say: Callable[[str], None] = lambda _: None) -> "Figure":
-    """Return the sheet as a matplotlib figure; parameters as for `save_overview`."""
+    """Return the sheet as a matplotlib figure.
+
+    Parameters
+    ----------
+    image, distances_mm, say
+        As for `save_overview`.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

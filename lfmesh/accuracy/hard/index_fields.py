@@ -150,7 +150,8 @@ def grazing_the_face_of_a_field() -> Outcome:
     sense = np.where(draw.uniform(size=count) < 0.5, -1.0, 1.0)
     angle = np.arccos(index) * (1.0 + sense * 10.0 ** draw.uniform(-8.0, -1.0, count))
     along = np.column_stack([0.0 * angle, -np.sin(angle), np.cos(angle)])
-    points = np.column_stack([draw.uniform(-50.0, 50.0, count), np.full(count, 30.0), draw.uniform(-50.0, 50.0, count)])
+    # Beside the lens, which some of them would meet otherwise.
+    points = np.column_stack([draw.uniform(40.0, 90.0, count), np.full(count, 30.0), draw.uniform(-50.0, 50.0, count)])
     paths = _sent(_with(_box((200.0, 60.0, 4000.0), index=index)), points - 100.0 * along, along)
     turned = np.zeros(count, dtype=bool)
     turned[paths.source[paths.direction[:, 1] > 0.0]] = True
@@ -193,7 +194,7 @@ def faint_field() -> Outcome:
     change = slope * length
     ends = points + length[:, None] * along + np.column_stack([0.0 * change, 0.5 * change * length, 0.0 * change])
     behind = along + np.column_stack([0.0 * change, change, -change * along[:, 1] / along[:, 2]])
-    return _judged(paths, ends, behind, float(change.max()), within=1e-5)
+    return _judged(paths, ends, behind, float(change.max()), within=1e-5, away=-AWAY)
 
 
 @case

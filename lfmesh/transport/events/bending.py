@@ -266,7 +266,7 @@ def _towards_fields(fields: BendingFields, packet: Any) -> None:
     x, y, z = _in_box(fields.fields.rows[number], x + length * dx, y + length * dy, z + length * dz)
     n2, _, _, _ = bending_at(fields, number, x, y, z)
     around = fields.around[packet.colour]
-    tx, ty, tz, passes = _through_face(axis, around * dx, around * dy, around * dz, n2)
+    tx, ty, tz, passes = _through_face(axis, around * dx, around * dy, around * dz, n2 - around * around)
     state = met + 1.0 if passes else OUTSIDE - (met + 1.0)
     _set_end(fields, packet, met, (tx, ty, tz), state, REFRACTED_AT_FACE if passes else REFLECTED_AT_FACE)
     packet.chord[OPTICAL], packet.chord[PLANE], packet.chord[CHORDS] = np.sqrt(n2), NO_PLANE, 0.0
@@ -284,9 +284,11 @@ def _in_box(box: Any, x: float, y: float, z: float) -> Vector:
 
 @inlined
 def _through_face(
-    axis: int, tx: float, ty: float, tz: float, n2: float
+    axis: int, tx: float, ty: float, tz: float, rise: float
 ) -> tuple[float, float, float, bool]:  # fmt: skip
     """Return an optical ray vector behind a plane face, by Snell's law, and if it passes the face.
+
+    The change of n², not n² itself, keeps the digits of grazing rays.
 
     Parameters
     ----------
@@ -294,12 +296,11 @@ def _through_face(
         Axis normal to the face.
     tx, ty, tz : float
         Optical ray vector before the face.
-    n2 : float
-        n² behind the face.
+    rise : float
+        n² behind the face less n² before it.
     """
     along = tz if axis == 2 else (tx if axis == 0 else ty)
-    across2 = (0.0 if axis == 0 else tx * tx) + (0.0 if axis == 1 else ty * ty) + (0.0 if axis == 2 else tz * tz)
-    squared = n2 - across2
+    squared = along * along + rise
     passes = squared > 0.0
     changed = np.copysign(np.sqrt(squared), along) if passes else -along
     return (
@@ -373,7 +374,8 @@ def _leave(fields: BendingFields, packet: Any, field: int, at: FieldRay) -> None
     around = fields.around[packet.colour]
     # The vector has the length of the index but for the error of the integration.
     scale = np.sqrt(at.n2 / (ray.tx * ray.tx + ray.ty * ray.ty + ray.tz * ray.tz))
-    tx, ty, tz, passes = _through_face(at.face >> 1, scale * ray.tx, scale * ray.ty, scale * ray.tz, around * around)
+    rise = around * around - at.n2
+    tx, ty, tz, passes = _through_face(at.face >> 1, scale * ray.tx, scale * ray.ty, scale * ray.tz, rise)
     state = OUTSIDE - (field + 1.0) if passes else field + 1.0
     _set_end(fields, packet, field, (tx, ty, tz), state, REFRACTED_AT_FACE if passes else REFLECTED_AT_FACE)
     packet.chord[OPTICAL], packet.chord[PLANE] = 0.0, NO_PLANE

@@ -108,7 +108,7 @@ class ResampledFlow:
         for name, values in self.grid.values.items():
             least, most = float(values.min()), float(values.max())
             range_ = most - least
-            share = f" ({100.0 * self.largest[name] / range_:.2g} % of its range)" if range_ > 0.0 else ""
+            share = f" ({100.0 * self.largest[name] / range_:.3g} % of its range)" if range_ > 0.0 else ""
             lines.append(
                 f"{name}: {least:.6g} to {most:.6g}; on a grid twice as fine the file differs by up to "
                 f"{self.largest[name]:.3g}{share}, {self.rms[name]:.3g} rms"

@@ -109,4 +109,4 @@ def _angle(angle: float) -> str:
 
 
 def _share(error: float) -> str:
-    return f"{100.0 * error:.2g} %"
+    return f"{100.0 * error:.3g} %"

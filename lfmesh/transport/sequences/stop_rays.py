@@ -145,7 +145,8 @@ def reach_of(through: CameraTables, random: np.random.Generator) -> Reach | None
         return None
     places = Reach(ROOM * float(found.drawn.max()))
     steepest, limit = float(found.slope.max()), 0.0
-    if ROOM * steepest >= places.radius * abs(_first_order_of(through).slope):
+    # At a stop that diffracts, slopes before and behind it differ.
+    if through.stop is not None or ROOM * steepest >= places.radius * abs(_first_order_of(through).slope):
         return places
     # So few rays came through that steeper ones may have been missed.
     for _ in range(SEARCHES):

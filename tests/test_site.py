@@ -24,7 +24,17 @@ def blocks(language: str, page: str) -> list[str]:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with the scene of the first page and fewer lenslets, as other pages go on from."""
-    place = tmp_path_factory.mktemp("site")
+    return with_scene(tmp_path_factory.mktemp("site"))
+
+
+@pytest.fixture(scope="module")
+def reference_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return such a folder for the examples of the Python reference, which write other files of the same names."""
+    return with_scene(tmp_path_factory.mktemp("python"))
+
+
+def with_scene(place: Path) -> Path:
+    """Write the scene of the first page, with fewer lenslets, into a folder; return the folder."""
     (scene,) = blocks("toml", "start")
     small = scene.replace("count = [24, 24]", "count = [8, 8]").replace("pixels = [240, 240]", "pixels = [80, 80]")
     assert small.count("[8, 8]") == small.count("[80, 80]") == 1
@@ -91,17 +101,19 @@ TASKS = re.findall(r"^python/(\w+)$", PAGES["python"], flags=re.MULTILINE)
 """Pages of the Python reference, in their order."""
 
 
-def test_the_examples_of_the_python_reference_run_in_their_order(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_examples_of_the_python_reference_run_in_their_order(
+    reference_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The example on drawing, which may lack the libraries for it, has a test of its own."""
-    monkeypatch.chdir(folder)
+    monkeypatch.chdir(reference_folder)
     for page in TASKS:
         if page != "views":
             run_example(page)
 
 
 @pytest.mark.drawing
-def test_the_example_on_drawing_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(folder)
+def test_the_example_on_drawing_runs(reference_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(reference_folder)
     run_example("views")
     assert Path("rays.png").is_file()
 

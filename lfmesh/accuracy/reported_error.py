@@ -49,6 +49,7 @@ CROPS = {
     "panel_and_tube": (-1.0, 0.5),
     "particles": (-1.0, 0.5),
     "polarised": (-1.0, 0.5),
+    "schlieren_plume": (-1.0, 0.5),
     "tank": (-1.0, 0.5),
     "underwater": (-1.0, 0.5),
 }

@@ -354,7 +354,25 @@ def with_diffracting_stop(scene: Scene, lens: LensTables, wavelengths_nm: tuple[
         radius = float(lens.surfaces["semi_diameter"][space])
     spread = np.outer(wavelengths_nm, (1.0, 1.0)) * 1e-6 / (2.0 * radius)
     events = _events_in_cover(scene) + len(lens.surfaces) - space
-    return lens._replace(aperture=Apertures(ROUND, spread, airy_quantiles(), NO_CELLS, -1, False, events, 0.0))
+    aperture = Apertures(ROUND, spread, airy_quantiles(), NO_CELLS, -1, False, events, 0.0)
+    return _with_stop_in_box(lens)._replace(aperture=aperture)
+
+
+def _with_stop_in_box(lens: LensTables) -> LensTables:
+    """Return the tables with a box that holds a stop in front of all surfaces: rays enter the lens where they may turn.
+
+    A ray through such a stop may miss the surfaces unless the stop deflects it.
+    """
+    if lens.stop_space != 0:
+        return lens
+    corners = lens.stop_radius * np.array([(x, y, 0.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)])
+    corners[:, 2] = lens.stop_z
+    if lens.stop_posed:
+        corners = frame.points(lens.stop_pose, corners)
+    return lens._replace(
+        box_low=np.minimum(lens.box_low, corners.min(axis=0)),
+        box_high=np.maximum(lens.box_high, corners.max(axis=0)),
+    )
 
 
 def _events_in_cover(scene: Scene) -> int:

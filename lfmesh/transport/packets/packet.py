@@ -36,6 +36,11 @@ the layer of lenslets a packet crosses one cell per move, elsewhere some ten mov
 CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3, 4
 BACK_FRAME = 5  # frame of the lenslets on the array's other face
 FRAMES = 6
+MOVING_FRAME = FRAMES - 1
+"""A packet in the frame of mover g has `frame` = MOVING_FRAME + g, g from 1; see `tables.motions`."""
+
+MOST_MOVERS = 120
+"""Largest number of movers, by the size of `frame`."""
 
 # Kinds of packet.
 CAMERA = 0  # on the camera's path: leaves the sensor (adjoint), or was aimed at the lens (forward)
@@ -305,6 +310,7 @@ class Flow(NamedTuple):
     polarised: Any = None
     asked: Any = None  # working memory, see `lights.many_lamps.ASKED`; None if no kernel asks lamps
     bending: Any = None  # BendingFields if packets are BENT, else None, as for `polarised`
+    moving: Any = None  # Moving in a scene with motion, else None, as for `polarised`
 
 
 # Thinning.split
@@ -336,6 +342,7 @@ class PixelSamples(NamedTuple):
     stream: np.uint64 = np.uint64(0)  # key of the random numbers of the group of replicates at this wavelength
     first: int = 0  # number of the pixel's first sample among those of the group
     step: int = 1  # from one sample of the pixel to the next in the group
+    columns: int = 1  # of the sensor
 
 
 @by_address
@@ -354,6 +361,21 @@ class Options(NamedTuple):
     paths: int  # class of paths that are estimated, see `paths.automaton`
     importance: bool  # weights are importance, which thin lenses change, not power
     pixels: PixelSamples = PixelSamples()
+    stream: np.uint64 = np.uint64(0)  # key of a replicate at a wavelength, for the times of its packets
+
+
+@inlined
+def mover_of_frame(frame: int) -> int:
+    """Return the mover in whose frame a packet is, from its `frame`; 0 in the object frame and in the camera."""
+    return max(frame - MOVING_FRAME, 0)
+
+
+@inlined
+def _frame_of_child(moving: Any, parent: Any, frame: int) -> int:
+    """Return the frame of a child from that given to `put`: the object frame of an event may be that of a mover."""
+    if moving is None:
+        return frame
+    return parent.frame if frame == OBJECT_FRAME and parent.frame > MOVING_FRAME else frame
 
 
 @inlined
@@ -465,7 +487,8 @@ def put(
     packet.node = node
     packet.column, packet.row, packet.facet, packet.last = column, cell_row, facet, last
     packet.colour, packet.space, packet.events, packet.medium = colour, space, events, medium
-    packet.tries, packet.kind, packet.frame, packet.path, packet.moves = 0, kind, frame, path, moves
+    packet.tries, packet.kind, packet.path, packet.moves = 0, kind, path, moves
+    packet.frame = _frame_of_child(flow.moving, parent, frame)
     keep_state(flow.polarised, parent, packet)
     _begin_chord(flow.bending, parent, packet)
     flow.tops[station] = top + 1

@@ -8,7 +8,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.transport.packets.random import derived, descendant
-from lfmesh.transport.packets.sobol import COLUMNS, DIMENSIONS, of_event, owen_sobol, sobol
+from lfmesh.transport.packets.sobol import COLUMNS, DIMENSIONS, TIME, of_event, owen_sobol, sobol
 from lfmesh.transport.render.render import Renderer
 
 LEVEL = 1e-3
@@ -23,10 +23,10 @@ ROOT = descendant(0x736F626F6C, 1)
 
 @numba.njit
 def plain(count: int) -> NDArray[np.uint32]:
-    """Return the first points, unscrambled, as integers, (count, DIMENSIONS)."""
-    points = np.empty((count, DIMENSIONS), np.uint32)
+    """Return the first points, unscrambled, as integers, (count, TIME + 1)."""
+    points = np.empty((count, TIME + 1), np.uint32)
     for i in range(count):
-        for d in range(DIMENSIONS):
+        for d in range(TIME + 1):
             points[i, d] = sobol(i, d)
     return points
 

@@ -1,0 +1,151 @@
+"""Rigid motions in time: poses that follow each other along screws.
+
+A motion is a list of segments, each of constant velocity and constant turn about a centre that moves along. Two poses
+are joined by a screw: a turn about a fixed axis with a slide along it, which is the same formula with the centre on the
+axis (Chasles 1830).
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from lfmesh.geometry import frame
+from lfmesh.kernels.decorators import kernel
+
+Array = NDArray[np.float64]
+
+SEGMENT = np.dtype(
+    [
+        ("begin_s", "f8"),
+        ("start", "f8", (3, 4)),  # pose at the begin
+        ("centre", "f8", (3,)),  # mm, of the turn, at the begin
+        ("velocity", "f8", (3,)),  # mm/s, of the centre
+        ("axis", "f8", (3,)),  # unit
+        ("rate", "f8"),  # rad/s about the axis
+    ]
+)
+"""Part of a motion, up to the begin of the next one; the first and the last extend to all earlier and later times."""
+
+
+def steady(velocity_mm_s: ArrayLike, spin_deg_s: ArrayLike, centre_mm: ArrayLike) -> NDArray[np.void]:
+    """Return a motion of constant velocity and spin, the identity at t = 0, (1,) SEGMENT.
+
+    Parameters
+    ----------
+    velocity_mm_s : (3,) array_like
+    spin_deg_s : (3,) array_like
+        Rotation vector.
+    centre_mm : (3,) array_like
+        Centre of the turn at t = 0; it moves with the velocity.
+    """
+    row = np.zeros(1, SEGMENT)
+    row["start"][0] = frame.IDENTITY
+    row["centre"][0], row["velocity"][0] = centre_mm, velocity_mm_s
+    _set_turn(row, np.deg2rad(np.asarray(spin_deg_s, np.float64)))
+    return row
+
+
+def through_poses(times_s: ArrayLike, poses: Array) -> NDArray[np.void]:
+    """Return the motion through poses, along a screw from each to the next, (n − 1 or more,) SEGMENT.
+
+    Parameters
+    ----------
+    times_s : (n,) array_like
+        Increasing.
+    poses : (n, 3, 4) float64
+        Frames of the body. With one pose, the body rests.
+    """
+    times = np.asarray(times_s, np.float64)
+    rows = np.zeros(max(len(times) - 1, 1), SEGMENT)
+    rows["axis"] = 0.0, 0.0, 1.0
+    rows["begin_s"], rows["start"] = times[: len(rows)], poses[: len(rows)]
+    for k in range(len(times) - 1):
+        row, time = rows[k : k + 1], times[k + 1] - times[k]
+        between = frame.compose(poses[k + 1], frame.inverse(poses[k]))
+        turn = Rotation.from_matrix(between[:, :3]).as_rotvec()
+        _set_turn(row, turn / time)
+        axis, angle, shift = row["axis"][0], float(np.linalg.norm(turn)), between[:, 3]
+        slide = axis * (axis @ shift)
+        across = shift - slide
+        if angle > 0.0:
+            # The axis passes the point that the turn moves by `across`.
+            row["centre"][0] = 0.5 * (across + np.cross(axis, across) / np.tan(0.5 * angle))
+            row["velocity"][0] = slide / time
+        else:
+            row["velocity"][0] = shift / time
+    return rows
+
+
+def pose_at(motion: NDArray[np.void], time_s: float) -> Array:
+    """Return the pose of a body at a time, (3, 4).
+
+    Parameters
+    ----------
+    motion : (n,) SEGMENT
+    time_s : float
+    """
+    pose = np.empty((3, 4))
+    fill_pose(motion, 0, len(motion), time_s, pose)
+    return pose
+
+
+def greatest_speed(motion: NDArray[np.void], points: Array) -> float:
+    """Return a bound on the speed of points of a body at any time, mm/s.
+
+    Parameters
+    ----------
+    motion : (n,) SEGMENT
+    points : (m, 3) float64, mm
+        In the frame of the body.
+    """
+    fastest = 0.0
+    for row in motion:
+        # The distance from the centre does not change, as the centre moves along.
+        reach = np.linalg.norm(np.cross(frame.points(row["start"], points) - row["centre"], row["axis"]), axis=1)
+        speed = float(np.linalg.norm(row["velocity"])) + abs(float(row["rate"])) * float(reach.max(initial=0.0))
+        fastest = max(fastest, speed)
+    return fastest
+
+
+def _set_turn(row: NDArray[np.void], turn_rad_s: Array) -> None:
+    """Set axis and rate of one segment from its rotation vector."""
+    rate = float(np.linalg.norm(turn_rad_s))
+    row["axis"][0] = turn_rad_s / rate if rate > 0.0 else (0.0, 0.0, 1.0)
+    row["rate"][0] = rate
+
+
+@kernel
+def fill_pose(motion: NDArray[np.void], first: int, last: int, time_s: float, pose: Array) -> None:
+    """Fill the pose of a body at a time.
+
+    Parameters
+    ----------
+    motion : (n,) SEGMENT
+    first, last : int
+        The segments of the body are those from `first` up to `last`, exclusive.
+    time_s : float
+    pose : (3, 4) float64
+        Output.
+    """
+    number = first
+    while number + 1 < last and time_s >= motion[number + 1].begin_s:
+        number += 1
+    row = motion[number]
+    time = time_s - row.begin_s
+    angle = row.rate * time
+    # 1 − cos without cancellation.
+    sine, half = np.sin(angle), np.sin(0.5 * angle)
+    rest = 2.0 * half * half
+    ax, ay, az = row.axis[0], row.axis[1], row.axis[2]
+    for k in range(4):
+        x, y, z = row.start[0, k], row.start[1, k], row.start[2, k]
+        if k == 3:
+            x, y, z = x - row.centre[0], y - row.centre[1], z - row.centre[2]
+        # v + sin φ a × v + (1 − cos φ) a × (a × v), Rodrigues' formula.
+        cx, cy, cz = ay * z - az * y, az * x - ax * z, ax * y - ay * x
+        ex, ey, ez = ay * cz - az * cy, az * cx - ax * cz, ax * cy - ay * cx
+        pose[0, k] = x + sine * cx + rest * ex
+        pose[1, k] = y + sine * cy + rest * ey
+        pose[2, k] = z + sine * cz + rest * ez
+    for i in range(3):
+        pose[i, 3] += row.centre[i] + row.velocity[i] * time

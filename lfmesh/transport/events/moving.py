@@ -1,0 +1,196 @@
+"""Moving frames: a packet's time, and its moves between the frames of bodies that move.
+
+An event at a body takes place in the frame of its mover, in which the body rests and all its tables hold: the packet's
+ray is moved there, and its `frame` says so. In the thread's table of frames, `Moving.frames`, that frame stands for
+the object frame, so code that goes from the object frame to the camera or the world need not know of motion. Children stay in the frame of their parent until their next query (`packets.packet.put`). A packet's time
+follows from its source and its sample, so all packets of a sample have one time and no packet stores it.
+
+`moving` is None in a scene without motion; numba then compiles nothing here.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.frame import direction_through, point_through
+from lfmesh.geometry.rigid_motion import fill_pose
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.transport.events.exposure import drawn_time
+from lfmesh.transport.packets.packet import FRAMES, MOVING_FRAME, OBJECT_FRAME, Options, mover_of_frame
+from lfmesh.transport.tables.motions import STALE, STILL
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+
+@inlined
+def begin(moving: Any, options: Options, packet: Any) -> None:
+    """Make the moment and the frame of a packet the present ones, before its event.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    options : Options
+    packet : PACKET
+    """
+    if moving is None:
+        return
+    source = np.uint64(packet.source)
+    if moving.known[0] != source or moving.known[1] != options.stream:
+        _set_time(moving, options, packet)
+        moving.known[0], moving.known[1] = source, options.stream
+        if moving.held[0] != STILL:
+            moving.held[0] = STALE
+    _hold_frames(moving, mover_of_frame(packet.frame))
+
+
+@kernel
+def _set_time(moving: Any, options: Options, packet: Any) -> None:
+    motions = moving.motions
+    time_s = drawn_time(motions, options, packet)
+    moving.time_s[0] = time_s
+    camera, world, there = moving.scratch
+    fill_pose(motions.segments, motions.first[0], motions.first[1], time_s, camera)
+    for mover in range(1, len(motions.first) - 1):
+        fill_pose(motions.segments, motions.first[mover], motions.first[mover + 1], time_s, world)
+        _relative(camera, world, there)
+        for i in range(3):
+            for k in range(4):
+                moving.back[mover, i, k] = there[i, k]
+        _invert(there, moving.to[mover])
+
+
+@kernel
+def _relative(camera: Array, body: Array, found: Array) -> None:
+    """Fill the pose of a body relative to the camera, camera⁻¹ · body; all (3, 4)."""
+    for i in range(3):
+        for k in range(4):
+            total = 0.0
+            for j in range(3):
+                shift = camera[j, 3] if k == 3 else 0.0
+                total += camera[j, i] * (body[j, k] - shift)
+            found[i, k] = total
+
+
+@kernel
+def _invert(pose: Array, found: Array) -> None:
+    """Fill the inverse of a pose, (3, 4)."""
+    for i in range(3):
+        shift = 0.0
+        for j in range(3):
+            found[i, j] = pose[j, i]
+            shift += pose[j, i] * pose[j, 3]
+        found[i, 3] = -shift
+
+
+@inlined
+def mover_of(moving: Any, body: int) -> int:
+    """Return the mover of a target; of the housing for −1.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    body : int
+    """
+    return 0 if moving is None else moving.motions.of_target[body]
+
+
+@inlined
+def enter_mover(moving: Any, packet: Any, mover: int) -> None:
+    """Move the ray of the packet in hand into the frame of a mover; 0: the object frame.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    packet : PACKET
+        In the object frame, or in that of a mover.
+    mover : int
+    """
+    if moving is None:
+        return
+    here = mover_of_frame(packet.frame)
+    if here == mover:
+        return
+    packet.x, packet.y, packet.z = point_between(moving, here, mover, packet.x, packet.y, packet.z)
+    packet.dx, packet.dy, packet.dz = direction_between(moving, here, mover, packet.dx, packet.dy, packet.dz)
+    packet.frame = OBJECT_FRAME if mover == STILL else MOVING_FRAME + mover
+    _hold_frames(moving, mover)
+
+
+@inlined
+def point_between(moving: Any, here: int, there: int, x: float, y: float, z: float) -> Vector:
+    """Return a point, mm, moved from the frame of one mover into that of another.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    here, there : int
+        Movers; of a packet: `mover_of_frame(packet.frame)`.
+    x, y, z : float, mm
+    """
+    if moving is None:
+        return x, y, z
+    if here == there:
+        return x, y, z
+    if here > 0:
+        x, y, z = point_through(moving.back[here], x, y, z)
+    if there > 0:
+        x, y, z = point_through(moving.to[there], x, y, z)
+    return x, y, z
+
+
+@inlined
+def direction_between(moving: Any, here: int, there: int, x: float, y: float, z: float) -> Vector:
+    """Return a direction moved as `point_between` does.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    here, there : int
+    x, y, z : float
+    """
+    if moving is None:
+        return x, y, z
+    if here == there:
+        return x, y, z
+    if here > 0:
+        x, y, z = direction_through(moving.back[here], x, y, z)
+    if there > 0:
+        x, y, z = direction_through(moving.to[there], x, y, z)
+    return x, y, z
+
+
+@inlined
+def _hold_frames(moving: Any, mover: int) -> None:
+    """Let the frame of a mover stand for the object frame in the table of frames."""
+    if moving.held[0] != mover:
+        _fill_frames(moving, moving.motions.frames, mover)
+        moving.held[0] = mover
+
+
+@kernel
+def _fill_frames(moving: Any, frames: Array, mover: int) -> None:
+    into = moving.frames
+    for here in range(FRAMES):
+        for there in range(FRAMES):
+            for i in range(3):
+                for k in range(4):
+                    into[here, there, i, k] = frames[here, there, i, k]
+    if mover == STILL:
+        return
+    for other in range(FRAMES):
+        if other != OBJECT_FRAME:
+            _compose(moving.to[mover], frames[other, OBJECT_FRAME], into[other, OBJECT_FRAME])
+            _compose(frames[OBJECT_FRAME, other], moving.back[mover], into[OBJECT_FRAME, other])
+
+
+@kernel
+def _compose(outer: Array, inner: Array, found: Array) -> None:
+    """Fill the frame that applies `inner` first, then `outer`; all (3, 4)."""
+    for i in range(3):
+        for k in range(4):
+            total = outer[i, 3] if k == 3 else 0.0
+            for j in range(3):
+                total += outer[i, j] * inner[j, k]
+            found[i, k] = total

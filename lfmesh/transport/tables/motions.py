@@ -1,0 +1,73 @@
+"""Tables for kernels of motion in time: who moves, when a pixel sees it, and each thread's present moment.
+
+Things that share one motion relative to the camera are one *mover*. Mover 0 stands still relative to the camera. The
+tables of lights, targets and media hold everything where it is at t = 0, in the object frame. The frame of a mover
+coincides with the object frame at t = 0 and is carried along, so tables hold in it at all times.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernels.by_address import by_address
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+STILL = 0
+"""Number of the mover that stands still relative to the camera."""
+
+STALE = -1
+"""Stands for a mover in `Moving.held` if the table of frames is of an earlier time."""
+
+
+@by_address
+class Motions(NamedTuple):
+    """Motions of a scene, object frame, and the exposure."""
+
+    segments: NDArray[np.void]  # (n,) SEGMENT of all movers in the world; those of the camera first
+    first: Numbers  # (movers + 1,) first segment of each mover, and the end; mover 0: the motion of the camera
+    of_target: Numbers  # (targets + 1,) mover of each target, of glass too; the last: the housing, 0
+    of_lamp: Numbers  # (lamps,)
+    of_medium: Numbers  # (rows of `Volumes`,)
+    bounds: Array  # (movers, 4) mm: a sphere in the frame of the mover that holds its targets; radius −1: no targets
+    begin_s: Array  # (rows of the sensor,) begin of the window of each row of pixels, s
+    duration_s: float  # of the window of a row
+    end_s: float  # end of the last window
+    shutter: Array  # (3, k): times in the window, s; opening; its integral up to there, s
+    camera_moves: bool
+    frames: Array  # (6, 6, 3, 4) at t = 0, see `tables.frames`
+
+
+@by_address
+class Moving(NamedTuple):
+    """The moment of the packet in hand: working memory of one thread."""
+
+    motions: Motions
+    known: NDArray[np.uint64]  # (2,) source and stream of the packet whose time is set
+    time_s: Array  # (1,)
+    to: Array  # (movers, 3, 4) from the object frame to the frame of each mover
+    back: Array  # (movers, 3, 4) and back
+    scratch: Array  # (3, 3, 4)
+    frames: Array  # (6, 6, 3, 4) in which the frame of the mover `held` stands for the object frame
+    held: Numbers  # (1,)
+    rays: Array  # (movers, 6) ray of the packet in the frame of each mover
+
+
+def moving(motions: Motions | None) -> Any:
+    """Return the working memory of a thread; None without motion.
+
+    Parameters
+    ----------
+    motions : Motions or None
+    """
+    if motions is None:
+        return None
+    movers = len(motions.first) - 1
+    still = np.repeat(np.eye(3, 4)[None], movers, axis=0)
+    none = np.full(2, np.iinfo(np.uint64).max, np.uint64)
+    return Moving(
+        motions, none, np.zeros(1), still, still.copy(), np.zeros((3, 3, 4)), motions.frames.copy(),
+        np.array([STILL]), np.zeros((movers, 6)),
+    )  # fmt: skip

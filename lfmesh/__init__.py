@@ -156,6 +156,7 @@ if TYPE_CHECKING:
     from lfmesh.scene.media.air import Air
     from lfmesh.scene.media.media import Grid, Medium, MeshBounds
     from lfmesh.scene.media.phase import HenyeyGreensteinPhase, IsotropicPhase, MiePhase, RayleighPhase, TabulatedPhase
+    from lfmesh.scene.motion import Exposure, Motion, TimedPose
     from lfmesh.scene.objects.refractor import MeshFace
     from lfmesh.scene.particle_frames import displaced, particle_vectors
     from lfmesh.study.datasets.dataset import Dataset
@@ -219,6 +220,7 @@ __all__ = [
     "Event",
     "ExactGhosts",
     "Exposed",
+    "Exposure",
     "FileError",
     "FineVoxelsWarning",
     "Finish",
@@ -264,6 +266,7 @@ __all__ = [
     "MicrolensArray",
     "MiePhase",
     "MissedLightWarning",
+    "Motion",
     "OpenLedgerWarning",
     "Optimum",
     "Order",
@@ -309,6 +312,7 @@ __all__ = [
     "Tank",
     "Target",
     "Tessellation",
+    "TimedPose",
     "TooFewSamplesWarning",
     "Toroid",
     "Transport",
@@ -479,6 +483,7 @@ _HOMES = {
     "lfmesh.scene.materials.coatings": ["Coating", "Layer", "MeasuredIndex", "MeasuredReflectance"],
     "lfmesh.scene.materials.finishes": ["Finish"],
     "lfmesh.scene.materials.own_glass": ["OwnGlass"],
+    "lfmesh.scene.motion": ["Exposure", "Motion", "TimedPose"],
     "lfmesh.scene.media.air": ["Air"],
     "lfmesh.scene.media.media": ["Grid", "Medium", "MeshBounds"],
     "lfmesh.scene.media.phase": [

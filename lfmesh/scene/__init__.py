@@ -27,6 +27,7 @@ from lfmesh.scene.materials.coatings import Coating, Layer
 from lfmesh.scene.materials.finishes import Finish
 from lfmesh.scene.materials.matter import Matter
 from lfmesh.scene.media.media import Grid, Medium
+from lfmesh.scene.motion import Exposure, Motion, TimedPose
 from lfmesh.scene.objects.refractor import MeshFace, MeshShape, Refractor
 from lfmesh.scene.objects.shapes import Box, Cylinder, Disk, Plane, Shape, Sphere
 from lfmesh.scene.objects.tank import Liquid, Tank, Wall
@@ -47,6 +48,7 @@ __all__ = [
     "Disk",
     "DiskLight",
     "Element",
+    "Exposure",
     "Finish",
     "FirstOrder",
     "Gloss",
@@ -63,6 +65,7 @@ __all__ = [
     "MeshFace",
     "MeshShape",
     "MicrolensArray",
+    "Motion",
     "Paraxial",
     "Plane",
     "PointLight",
@@ -78,6 +81,7 @@ __all__ = [
     "Tank",
     "Target",
     "Tessellation",
+    "TimedPose",
     "Transport",
     "Wall",
     "first_order",

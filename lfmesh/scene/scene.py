@@ -192,7 +192,7 @@ class Scene(SceneParts, Shown):
         return scene
 
     def camera_alone(self, values: dict[str, Any] | None = None) -> "Scene":
-        """Return a copy with an empty object space: no targets, lights, media, particles or tanks.
+        """Return a still copy with an empty object space: no targets, lights, media, particles or tanks.
 
         Parameters
         ----------
@@ -204,6 +204,8 @@ class Scene(SceneParts, Shown):
         Scene
         """
         empty: dict[str, Any] = dict.fromkeys(("targets", "lights", "media", "particles", "tanks"), ())
+        if self.exposure is not None:
+            empty |= {"exposure": None, "camera.motion": None}
         return self.changed(empty | (values or {}))
 
     def dump_toml(self) -> str:

@@ -17,6 +17,7 @@ from lfmesh.scene.materials.coatings import name_fault, unknown_fault
 from lfmesh.scene.materials.own_glass import in_air
 from lfmesh.scene.memory import physical_memory_bytes
 from lfmesh.scene.model import Fault, Location
+from lfmesh.scene.motion_faults import motion_faults
 from lfmesh.scene.scene_parts import SceneParts
 from lfmesh.scene.settings.transport import PRIMARY_NM
 
@@ -48,6 +49,7 @@ def scene_faults(scene: SceneParts) -> Iterator[Fault]:
     yield from _diffraction_faults(scene)
     yield from _phase_faults(scene) if not glasses else ()
     yield from gradient_faults(scene)
+    yield from motion_faults(scene)
     yield from _memory_faults(scene)
 
 

@@ -20,6 +20,7 @@ from lfmesh.scene.materials.finishes import Finish
 from lfmesh.scene.materials.own_glass import in_air
 from lfmesh.scene.media.media import Medium
 from lfmesh.scene.model import Location, Model
+from lfmesh.scene.motion import Exposure, is_moving
 from lfmesh.scene.objects.gltf_keys import GltfLights, GltfTargets, or_table
 from lfmesh.scene.objects.tank import Tank
 from lfmesh.scene.objects.targets import Target
@@ -48,6 +49,8 @@ class SceneParts(Model):
     """Points in front of the camera that shine, or scatter the light of a sheet."""
     coatings: dict[str, Coating] = Field(default_factory=dict)
     """Coatings by the names that surfaces give."""
+    exposure: Exposure | None = None
+    """Time during which pixels collect light, for motion and rolling shutters. Omitted: everything stands still."""
     transport: Transport = Field(default_factory=Transport)
     """Settings of a render."""
 
@@ -146,6 +149,28 @@ class SceneParts(Model):
     def all_coatings(self) -> dict[str, Coating]:
         """Coatings of the scene and of its lens, by name."""
         return {**self.camera.lens.coatings, **self.coatings}
+
+    def things_with_motion(self) -> Iterator[tuple[Location, Any]]:
+        """Yield the location of each motion, and the object or the camera that has it.
+
+        Yields
+        ------
+        location : tuple of str and int
+            Keys from the scene's root.
+        thing : Camera, Target, Tank, Light or Medium
+        """
+        if self.camera.motion is not None:
+            yield ("camera", "motion"), self.camera
+        for key in ("targets", "tanks", "lights", "media"):
+            for i, thing in enumerate(getattr(self, key)):
+                if thing.motion is not None:
+                    yield (key, i, "motion"), thing
+
+    @property
+    def moves(self) -> bool:
+        """True if anything moves during the exposure: an object, the camera or particles."""
+        streaks = any(group.frame_time_s is not None for group in self.particles)
+        return streaks or any(is_moving(thing) for _, thing in self.things_with_motion())
 
     def coating_uses(self) -> Iterator[tuple[Location, str]]:
         """Yield the location and name of each coating that a surface uses.

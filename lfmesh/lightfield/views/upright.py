@@ -17,10 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.lens.orientation import image_inverts
 from lfmesh.scene import Scene
-from lfmesh.scene.first_order.relay import relay_of
-from lfmesh.scene.first_order.solve import image_plane_mm
 
 Array = NDArray[np.float64]
 
@@ -49,20 +47,8 @@ class Upright:
 
     @classmethod
     def of(cls, scene: Scene) -> "Upright":
-        """Determine by first-order optics whether a scene's lens inverts.
-
-        By the plane in focus or, if it is at infinity or virtual, by chief rays of distant objects.
-        """
-        camera = solved_camera(scene)
-        lens = camera.paraxial
-        image = image_plane_mm(camera.scene.camera, camera.scene.primary_nm)
-        relay = relay_of(camera.scene.camera, camera.scene.primary_nm)
-        behind = 1.0 if relay is None else relay.magnification
-        distance = lens.object_mm(image)
-        if 0.0 < distance < np.inf:
-            return cls(lens.magnification(distance) * behind < 0.0)
-        # A rising chief ray comes from a distant object at negative height.
-        return cls(lens.chief_scale_mm(np.inf, image) * behind < 0.0)
+        """Determine by first-order optics whether a scene's lens inverts."""
+        return cls(image_inverts(scene))
 
     @property
     def senses(self) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from lfmesh.scene.camera.sensor import Sensor
 from lfmesh.scene.materials.matter import Matter
 from lfmesh.scene.media.air import Air
 from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.motion import Motion
 from lfmesh.scene.objects.gltf_keys import GltfPose, or_table
 from lfmesh.scene.pose import Pose
 from lfmesh.scene.quantities import Flag, Number, ObjectDistance
@@ -60,6 +61,8 @@ class Camera(Model):
     pose: Pose = Field(default_factory=Pose, json_schema_extra=or_table(GltfPose))
     """Place of the camera in the world; also { file = "scene.glb" }: that of a camera of a glTF file. Omitted: the
     world frame is the camera frame."""
+    motion: Motion | None = None
+    """Motion of the whole camera during the exposure; needs `[exposure]`. Omitted: it stands still."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield faults between fields."""

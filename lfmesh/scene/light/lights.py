@@ -15,6 +15,7 @@ from lfmesh.scene.light.region import Region
 from lfmesh.scene.light.spectra import Shape
 from lfmesh.scene.light.turns import axes_along, rotation
 from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.motion import Motion
 from lfmesh.scene.quantities import FilePath, NonNegative, Number, Positive, Vector, no_direction
 
 Array = NDArray[np.float64]
@@ -75,6 +76,8 @@ class _Shines(Model):
     """Spectrum of the power, in any unit: an illuminant's name such as "D65", a table, a CSV file or { blackbody_k =
     ... }. A table is { wavelengths_nm = [...], values = [...] }; a CSV file has the columns wavelength_nm and value.
     Needs bands. Omitted: the same at all wavelengths."""
+    motion: Motion | None = None
+    """Motion during the exposure; needs `[exposure]`. Omitted: it stands still."""
 
     law: ClassVar[Emission] = "even"
 

@@ -173,6 +173,9 @@ class Particles(Model):
     diameter belongs in `phase`, and the scattering cross-section follows from it."""
     displacement: Displacement | None = None
     """Displacement from one frame to the next, for image pairs."""
+    frame_time_s: Positive | None = None
+    """Time from one frame to the next, in s: during the exposure each particle moves along its displacement and leaves
+    a streak. Needs `displacement` and `[exposure]`. Omitted: particles stand still during the exposure."""
     frame: Annotated[int, Field(strict=True, ge=0, le=100_000)] = 0
     """Number of displacements so far (no unit)."""
     samples: Count = 64
@@ -202,6 +205,8 @@ class Particles(Model):
                 yield Fault(("diameter_um",), self.diameter_um, "belongs in phase, whose kind is mie; omit it here")
             elif not self.phase.gives_size and self.diameter_um is None:
                 yield Fault(("diameter_um",), None, "missing: particles in a sheet need it, or phase of kind mie")
+        if self.frame_time_s is not None and self.displacement is None:
+            yield Fault(("frame_time_s",), self.frame_time_s, "needs displacement, the way in that time")
         if self.frame and self.displacement is None:
             yield Fault(("frame",), self.frame, "needs displacement")
 
@@ -299,6 +304,24 @@ def displaced_places(group: Particles, points: Array, scene: Resolves) -> Array:
     for _ in range(group.frame):
         points = points + displacements(group, points, scene)
     return points
+
+
+def particle_velocities(group: Particles, points: Array, scene: Resolves) -> Array | None:
+    """Return the velocities of particles during the exposure, (n, 3) float64, mm/s; None at rest.
+
+    Parameters
+    ----------
+    group : Particles
+    points : (n, 3) float64, mm
+        World frame, in the present frame, at t = 0.
+    scene : Resolves
+
+    Raises
+    ------
+    FileError
+        The file of a displacement field cannot be used.
+    """
+    return None if group.frame_time_s is None else displacements(group, points, scene) / group.frame_time_s
 
 
 def displacements(group: Particles, points: Array, scene: Resolves) -> Array:

@@ -10,6 +10,7 @@ from lfmesh.scene.light.spectra import Shape as SpectralShape
 from lfmesh.scene.media.bending import INDEX_KEYS, FieldIndex, law_faults
 from lfmesh.scene.media.phase import IsotropicPhase, Phase
 from lfmesh.scene.model import Fault, Model, kind_of
+from lfmesh.scene.motion import Motion
 from lfmesh.scene.objects.refractor import BodyFile
 from lfmesh.scene.objects.shapes import Box, Cylinder, Sphere
 from lfmesh.scene.quantities import FilePath, NonNegative, Positive, Text, Vector
@@ -122,6 +123,9 @@ class Medium(Model):
     """Position of the medium's own origin, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations about x, then y, then z, in degrees."""
+    motion: Motion | None = None
+    """Motion during the exposure; needs `[exposure]`. Omitted: that of the body it is
+    inside, else it stands still."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield faults between fields."""

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import ValidationError
 
 from lfmesh.scene.model import Fault, Model, fault_lines
+from lfmesh.scene.motion import Motion
 from lfmesh.scene.quantities import FilePath, NodeKey, Positive, Vector
 
 ENDINGS = (".glb", ".gltf")
@@ -45,6 +46,8 @@ class GltfTargets(GltfFile):
     """Position of the file's own origin, or of the `anchor`, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations of the whole about x, then y, then z, in degrees."""
+    motion: Motion | None = None
+    """Motion of the whole during the exposure, about its position; needs `[exposure]`. Omitted: it stands still."""
 
 
 class GltfLights(GltfFile):
@@ -110,12 +113,29 @@ def take_keys(data: dict[str, Any], folder: Path) -> tuple[GltfKeys | None, list
         return None, [f"camera.{line}" if line.startswith("pose") else line for line in lines]
 
 
+def _in_one_piece(schema: dict[str, Any]) -> dict[str, Any]:
+    """Return a JSON Schema with its definitions in place of the references to them."""
+    definitions = schema.pop("$defs", {})
+
+    def resolved(part: Any) -> Any:
+        if isinstance(part, list):
+            return [resolved(each) for each in part]
+        if not isinstance(part, dict):
+            return part
+        whole = dict(part)
+        if "$ref" in whole:
+            whole = definitions[whole.pop("$ref").rpartition("/")[2]] | whole
+        return {key: resolved(value) for key, value in whole.items()}
+
+    return {key: resolved(value) for key, value in schema.items()}
+
+
 def or_table(model: type[Model]) -> Callable[[dict[str, Any]], None]:
     """Return a change to a field's JSON Schema that also allows the table of `model`."""
 
     def widen(schema: dict[str, Any]) -> None:
         told = {key: schema.pop(key) for key in ("title", "description", "default") if key in schema}
-        own, table = dict(schema), model.model_json_schema()
+        own, table = dict(schema), _in_one_piece(model.model_json_schema())
         schema.clear()
         schema.update(told | {"anyOf": [own, table]})
 

@@ -6,6 +6,7 @@ from typing import Literal
 from lfmesh.scene.light.spectra import Coefficient, coefficient_faults
 from lfmesh.scene.materials.matter import Matter
 from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.motion import Motion
 from lfmesh.scene.quantities import Positive, Text, Vector
 
 Side = Literal["top", "front"]
@@ -47,6 +48,8 @@ class Tank(Model):
     """Position of its centre, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations about x, then y, then z, in degrees."""
+    motion: Motion | None = None
+    """Motion during the exposure; needs `[exposure]`. Omitted: it stands still."""
 
     def called(self, number: int) -> str:
         """Return the tank's name in reports, given its number.

@@ -8,6 +8,7 @@ from pydantic import Field
 from lfmesh.scene.light.spectra import Kelvin, Radiance, Reflectance, Spectrum, reflectance_fault
 from lfmesh.scene.light.spectra import Shape as SpectralShape
 from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.motion import Motion
 from lfmesh.scene.objects.refractor import BodyFile, Refractor
 from lfmesh.scene.objects.shapes import Shape
 from lfmesh.scene.quantities import FilePath, GlossIndex, MetalName, Opacity, Positive, Text, Vector
@@ -129,6 +130,8 @@ class Target(BodyFile):
     """Material of the whole surface."""
     refractor: Refractor | None = None
     """Closed body of glass, in place of shape or file; it has no material."""
+    motion: Motion | None = None
+    """Motion during the exposure; needs `[exposure]`. Omitted: it stands still."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield faults between fields."""

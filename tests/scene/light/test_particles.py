@@ -7,7 +7,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.errors import LfmeshError
-from lfmesh.scene.light.particles import Particles, displacements, particle_places
+from lfmesh.scene.light.particles import Particles, displacements, particle_places, particle_velocities
 from tests.cameras import bench_camera
 
 SHEET = {
@@ -219,3 +219,13 @@ def test_vectors_of_a_pair_lead_from_frame_to_frame(tmp_path):
     )
     with pytest.raises(LfmeshError, match="none of the scene's particles moves"):
         lf.displaced(scene.changed({"particles[0].displacement": None}))
+
+
+def test_particles_move_by_one_displacement_per_frame_time() -> None:
+    vortex = {"kind": "vortex", "center_mm": (5, 0, 0), "axis": (0, 0, 1), "core_mm": 3.0, "circulation_mm2": 9.0}
+    still = Particles(**DRAWN, intensity_w_sr=1.0, displacement=vortex)  # type: ignore[arg-type]
+    moving = still.model_copy(update={"frame_time_s": 0.02})
+    points, _ = particle_places(moving, Folder())
+    speeds = particle_velocities(moving, points, Folder())
+    np.testing.assert_allclose(0.02 * speeds, displacements(moving, points, Folder()), rtol=1e-15)
+    assert particle_velocities(still, points, Folder()) is None

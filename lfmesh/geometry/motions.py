@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
+from lfmesh.geometry.objects.tanks import tank_bodies
 from lfmesh.geometry.rigid_motion import steady, through_poses
 from lfmesh.scene import Medium, Scene
 from lfmesh.scene.motion import centre_of_spin, is_moving, pose_frames
@@ -64,7 +65,7 @@ def motions_of(scene: Scene) -> SceneMotions:
     ----------
     scene : Scene
     """
-    tanks = [motion for tank in scene.tanks for motion in [motion_of(tank)] * 2]
+    tanks = [motion_of(body) for tank in scene.tanks for body in tank_bodies(tank, "")]
     return SceneMotions(
         motion_of(scene.camera),
         (*map(motion_of, scene.targets), *tanks),

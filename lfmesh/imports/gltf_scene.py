@@ -7,7 +7,7 @@ target that names its node; its mesh stays in the file until the scene is built.
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -22,8 +22,6 @@ from lfmesh.imports.gltf_lights import light_of
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.scene import Pose, Scene, Target
 from lfmesh.scene.light.lights import Light
-from lfmesh.scene.light.turns import rotation
-from lfmesh.scene.motion import Motion
 from lfmesh.scene.objects.gltf_keys import GltfKeys, GltfTargets
 
 MOST_OBJECTS = 10_000
@@ -112,9 +110,9 @@ class GltfScene:
                 corners = corners * (1.0 if whole.scale is None else whole.scale)
                 whole = whole.model_copy(update={"position_mm": origin_mm(whole, corners)})
         place = whole.model_dump(include={"scale", "position_mm", "rotation_deg"}, exclude_defaults=True)
-        if placed.motion is None:
-            return place
-        return place | {"motion": _motion_about(placed, np.array(whole.position_mm))}
+        if placed.motion is not None:
+            place["motion"] = placed.motion.about(placed.position_mm)
+        return place
 
     def lights(self, lighting: str, scene: Scene) -> tuple[Light, ...]:
         """Return the punctual lights.
@@ -277,22 +275,6 @@ def _name(node: Node) -> str:
     if node.name is not None:
         return node.name
     return f"nodes[{node.number}]" + (f" {own[:60]}" if isinstance(own, str) and own[:60].isprintable() and own else "")
-
-
-def _motion_about(placed: GltfTargets, origin: Array) -> Motion:
-    """Return the motion of a whole for its objects, whose position is the origin of the file, (3,) mm."""
-    motion, anchor = cast(Motion, placed.motion), np.array(placed.position_mm)
-    if motion.spin_deg_s is not None and motion.center_mm is None:
-        return motion.model_copy(update={"center_mm": placed.position_mm})
-    if not motion.poses or (origin == anchor).all():
-        return motion
-    back = rotation(placed.rotation_deg).T
-    poses = [motion.poses[0].model_copy(update={"position_mm": tuple(origin.tolist())})]
-    for pose in motion.poses[1:]:
-        turn = rotation(pose.rotation_deg or placed.rotation_deg) @ back
-        place = np.array(pose.position_mm or placed.position_mm) + turn @ (origin - anchor)
-        poses.append(pose.model_copy(update={"position_mm": tuple(place.tolist())}))
-    return motion.model_copy(update={"poses": tuple(poses)})
 
 
 def _extension(entry: dict[str, Any], name: str) -> dict[str, Any]:

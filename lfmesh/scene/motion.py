@@ -1,7 +1,7 @@
 """Time in a scene: the exposure, and rigid motions of objects and camera during it."""
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,20 +144,21 @@ class Motion(Model):
     spin_deg_s: Vector | None = None
     """Rotation vector in world axes, in degrees/s: its direction is the axis, its length the rate. Omitted: 0."""
     center_mm: Vector | None = None
-    """Point that the spin turns about, at t = 0; it moves with the velocity, in mm. Needs `spin_deg_s`. Omitted: the
-    object's own position."""
+    """Point at t = 0 that the spin turns about, or that the positions of `poses` place, in mm. It moves along. Omitted:
+    the object's own position."""
     poses: Annotated[tuple[TimedPose, ...], Field(max_length=MOST_TIMES)] = ()
     """Poses at times, from 0 to the end of the last row's window, joined by screw motions of less than half a turn. Or
     give `velocity_mm_s` and `spin_deg_s`."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield missing keys, keys given twice, and times out of order."""
-        steady = [key for key in ("velocity_mm_s", "spin_deg_s", "center_mm") if getattr(self, key) is not None]
+        steady = [key for key in ("velocity_mm_s", "spin_deg_s") if getattr(self, key) is not None]
         if not self.poses:
             if not steady:
                 yield Fault((), None, "missing: give velocity_mm_s, spin_deg_s or poses")
             elif self.center_mm is not None and self.spin_deg_s is None:
-                yield Fault(("center_mm",), list(self.center_mm), "needs spin_deg_s, which turns about it")
+                why = "needs spin_deg_s, which turns about it, or poses"
+                yield Fault(("center_mm",), list(self.center_mm), why)
             return
         for key in steady:
             yield Fault((key,), list(getattr(self, key)), "poses are given too; give one of them")
@@ -165,20 +166,35 @@ class Motion(Model):
         if times[0] != 0.0:
             yield Fault(("poses", 0, "time_s"), times[0], "must be 0: the scene as given is that at t = 0")
         for k in np.flatnonzero(np.diff(times) <= 0.0).tolist():
-            yield Fault(
-                ("poses", k + 1, "time_s"), times[k + 1], f"must be above {times[k]:g}, that of the pose before"
-            )
+            why = f"must be above {times[k]:g}, that of the pose before"
+            yield Fault(("poses", k + 1, "time_s"), times[k + 1], why)
+
+    def about(self, place: Vector) -> "Motion":
+        """Return the motion for the parts of an object that has its own position, (x, y, z) mm.
+
+        Parameters
+        ----------
+        place : tuple of float
+
+        Returns
+        -------
+        Motion
+        """
+        turns = self.spin_deg_s is not None or self.poses
+        return self.model_copy(update={"center_mm": place}) if turns and self.center_mm is None else self
 
 
 def own_pose(thing: Any) -> dict[str, Any]:
-    """Return the keys and values of an object's pose at t = 0, in the scene.
+    """Return the keys and values of an object's pose at t = 0; the position is that of the centre of its motion.
 
     Parameters
     ----------
     thing : Target, Tank, Medium, Light or Camera
     """
     holder = getattr(thing, "pose", thing)
-    return {key: getattr(holder, key) for key in POSE_KEYS if key in type(holder).model_fields}
+    own = {key: getattr(holder, key) for key in POSE_KEYS if key in type(holder).model_fields}
+    centre = thing.motion.center_mm if thing.motion is not None else None
+    return own | {key: centre for key in PLACE_KEYS if key in own and centre is not None}
 
 
 def poses_in_full(thing: Any) -> list[dict[str, Any]]:
@@ -216,7 +232,7 @@ def centre_of_spin(thing: Any) -> Vector:
     thing : Target, Tank, Medium, Light or Camera
     """
     if thing.motion.center_mm is not None:
-        return thing.motion.center_mm
+        return cast(Vector, thing.motion.center_mm)
     x, y, z = _place(own_pose(thing))
     return float(x), float(y), float(z)
 

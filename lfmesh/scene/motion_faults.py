@@ -45,6 +45,9 @@ def _unplaced(where: Location, thing: Any) -> Iterator[Fault]:
             if getattr(motion, key) is not None:
                 why = "parallel light has no position; give spin_deg_s, or poses with direction"
                 yield Fault((*where, key), list(getattr(motion, key)), why)
+    elif "start_mm" in own and motion.poses and motion.center_mm is not None:
+        why = "has no effect beside poses with start_mm and end_mm; omit it"
+        yield Fault((*where, "center_mm"), list(motion.center_mm), why)
 
 
 def _pose_faults(scene: SceneParts, where: Location, thing: Any) -> Iterator[Fault]:
@@ -57,10 +60,8 @@ def _pose_faults(scene: SceneParts, where: Location, thing: Any) -> Iterator[Fau
         for key, value in pose.given.items():
             why = _key_fault(thing, key, value, own)
             if why or (k == 0 and value != own[key]):
-                holder = ".".join(str(step) for step in ("pose", key) if where[0] == "camera" or step == key)
-                why = (
-                    why or f"must be {holder} = {_text(own[key])}, the pose at t = 0; change one of them, or omit this"
-                )
+                at_begin = f"{_holder(thing, key)} = {_text(own.get(key))}"
+                why = why or f"must be {at_begin}, the pose at t = 0; change one of them, or omit this"
                 found = True
                 yield Fault((*where, "poses", k, key), _text(value), why)
     if not found:
@@ -71,6 +72,13 @@ def _pose_faults(scene: SceneParts, where: Location, thing: Any) -> Iterator[Fau
         if poses[-1].time_s < end * (1.0 - ROUNDING):
             why = f"must be {end:.10g} or more, the end of the last row's window; add a pose"
             yield Fault((*where, "poses", len(poses) - 1, "time_s"), poses[-1].time_s, why)
+
+
+def _holder(thing: Any, key: str) -> str:
+    """Return the key that holds a value of the pose at t = 0."""
+    if key in PLACE_KEYS and thing.motion.center_mm is not None:
+        return "center_mm"
+    return f"pose.{key}" if hasattr(thing, "pose") else key
 
 
 def _key_fault(thing: Any, key: str, value: Any, own: dict[str, Any]) -> str:

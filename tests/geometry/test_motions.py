@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lfmesh.geometry import frame
+from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.motions import motion_of, motions_of
 from lfmesh.geometry.rigid_motion import pose_at
 from lfmesh.scene import Scene
@@ -111,14 +112,43 @@ def test_a_tube_moves_with_both_ends() -> None:
     np.testing.assert_allclose(frame.points(pose_at(motion, END), ends[0]), ends[1], atol=1e-12)
 
 
-def test_a_medium_inside_a_body_shares_its_motion() -> None:
-    tank = {"size_mm": [50, 50, 50], "wall_mm": 2, "wall": {"index": 1.5}, "liquid": {"index": 1.33}}
-    tank |= {"position_mm": [0.0, 0.0, -150.0], "motion": {"spin_deg_s": [0.0, 9.0, 0.0]}}
+@pytest.mark.parametrize(
+    "motion",
+    [
+        {"spin_deg_s": [0.0, 9.0, 0.0]},
+        {
+            "poses": [
+                {"time_s": 0.0},
+                {"time_s": END, "position_mm": [3.0, 0.1, -150.0], "rotation_deg": [0.1, 7.0, 9.0]},
+            ]
+        },
+    ],
+)
+def test_all_of_a_tank_moves_as_one(motion: Any) -> None:
+    """Wall, liquid and what is inside, as listed for the scene and as bodies of a solved one, to the bit."""
+    tank = {"size_mm": [50, 50, 50], "wall_mm": 2, "wall": {"index": 1.5}, "liquid": {"index": 1.33}, "open": "top"}
+    tank |= {"position_mm": [0.0, 0.1, -150.0], "rotation_deg": [0.0, 7.0, 9.0], "motion": motion}
     dye = {"inside": "tanks[0] liquid", "absorption_per_mm": 0.01}
-    motions = motions_of(scene(tanks=(tank,), media=(dye,)))
-    wall, liquid = motions.bodies
-    assert wall is not None
-    assert wall.tobytes() == liquid.tobytes() == motions.media[0].tobytes()  # type: ignore[union-attr]
+    made = scene(tanks=(tank,), media=(dye,))
+    motions, solved = motions_of(made), motions_of(solved_camera(made).scene.changed({"transport.seed": 3}))
+    bits = motion_of(made.tanks[0]).tobytes()  # type: ignore[union-attr]
+    for each in (*motions.bodies, *motions.media, *solved.bodies, *solved.media):
+        assert each is not None
+        assert each.tobytes() == bits
+
+
+def test_bodies_on_a_carriage_share_poses_about_its_centre() -> None:
+    carriage = [0.0, 0.0, -100.0]
+    timed = [{"time_s": 0.0}, {"time_s": END, "position_mm": [9.0, 0.0, -100.0], "rotation_deg": [0.0, 30.0, 0.0]}]
+    ball = {"shape": {"kind": "sphere", "radius_mm": 1.0}, "motion": {"center_mm": carriage, "poses": timed}}
+    one, other = scene(targets=(ball, ball | {"position_mm": [4.0, 2.0, -100.0]})).targets
+    motion, same = motion_of(one), motion_of(other)
+    assert motion is not None
+    assert motion.tobytes() == same.tobytes()  # type: ignore[union-attr]
+    wanted = frame.frame((0.0, 30.0, 0.0), (9.0, 0.0, -100.0))
+    np.testing.assert_allclose(
+        frame.points(pose_at(motion, END), [[4.0, 2.0, -100.0]]), frame.points(wanted, [[4.0, 2.0, 0.0]]), atol=1e-12
+    )
 
 
 def test_rest_has_no_motion() -> None:

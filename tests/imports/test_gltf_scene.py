@@ -14,6 +14,7 @@ import pytest
 from lfmesh.errors import LensFileWarning, LfmeshError, MeshError, SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.files.mesh_file import load_mesh
+from lfmesh.geometry.motions import motion_of
 from lfmesh.geometry.objects.targets import target_mesh
 from lfmesh.geometry.objects.texture import srgb_to_linear
 from lfmesh.imports import read_gltf
@@ -103,6 +104,28 @@ def test_an_assembly_stands_as_one_target_of_its_whole_file(tmp_path: Path, anch
     low, high = parts.min(axis=0), parts.max(axis=0)
     if anchor == "base":
         np.testing.assert_allclose([0.5 * (low + high)[0], low[1], 0.5 * (low + high)[2]], [1.0, -20.0, -500.0])
+
+
+@pytest.mark.parametrize("anchor", ["origin", "centre", "base"])
+@pytest.mark.parametrize(
+    "motion",
+    [
+        "velocity_mm_s = [1.0, 2.0, 3.0], spin_deg_s = [0.0, 90.0, 10.0]",
+        "poses = [{ time_s = 0.0 }, { time_s = 1.0, position_mm = [9.0, 0.0, -500.0], rotation_deg = [0.0, 90.0, 0.0] }]",
+    ],
+)
+def test_an_assembly_moves_as_one_target_of_its_whole_file(tmp_path: Path, anchor: str, motion: str) -> None:
+    glb = Glb()
+    sheet(glb, "Below", translation=[0.0, 0.0, -1.0])
+    sheet(glb, "Beside", translation=[4.0, 0.0, 0.0])
+    place = f'anchor = "{anchor}", position_mm = [1.0, -20.0, -500.0], rotation_deg = [0.0, 20.0, 0.0]'
+    moving = f"{place}, motion = {{ {motion} }}"
+    toml = f"{TOML}\n[exposure]\nduration_s = 1.0\n"
+    scene = loaded(tmp_path, glb, f'targets = {{ file = "scene.glb", {moving} }}', toml)
+    whole = loads(f'targets = [{{ file = "scene.glb", {moving} }}]\n{toml}', tmp_path)
+    bits = motion_of(whole.targets[0]).tobytes()  # type: ignore[union-attr]
+    assert [motion_of(target).tobytes() for target in scene.targets] == [bits, bits]  # type: ignore[union-attr]
+    assert loads(scene.dump_toml(), tmp_path) == scene
 
 
 @pytest.mark.parametrize("uv_set", [0, 1])

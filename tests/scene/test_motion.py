@@ -125,7 +125,7 @@ def test_a_motion_at_rest_does_not_make_a_scene_move(motion: Any) -> None:
     [
         (BALL, {}, r"targets\[0\].motion: missing: give velocity_mm_s, spin_deg_s or poses"),
         (BALL, {"velocity_mm_s": [1.0, 0.0]}, r"targets\[0\].motion.velocity_mm_s"),
-        (BALL, {"center_mm": [0.0, 0.0, 0.0]}, "center_mm.*needs spin_deg_s"),
+        (BALL, RIGHT | {"center_mm": [0.0, 0.0, 0.0]}, "center_mm.*needs spin_deg_s"),
         (BALL, RIGHT | poses({}, {}), r"velocity_mm_s = \[3.0, 0.0, 0.0\]: poses are given too"),
         (BALL, {"poses": [{"time_s": 0.1}]}, r"poses\[0\].time_s = 0.1: must be 0"),
         (BALL, {"poses": [{"time_s": 0}, {"time_s": 1}, {"time_s": 1}]}, r"poses\[2\].time_s = 1.0: must be above 1"),
@@ -144,6 +144,8 @@ def test_a_motion_at_rest_does_not_make_a_scene_move(motion: Any) -> None:
         (SUN, RIGHT, "velocity_mm_s.*parallel light has no position"),
         (SUN, {"spin_deg_s": [1, 0, 0], "center_mm": [0, 0, 0]}, "center_mm.*parallel light has no position"),
         (TUBE, poses({}, {"end_mm": [21.0, 0.0, -50.0]}), r"end_mm.*makes the lamp 21 mm long.*20 mm"),
+        (TUBE, poses({}, {}) | {"center_mm": [0, 0, 0]}, "center_mm.*has no effect beside poses with start_mm"),
+        (BALL, poses({"position_mm": [0, 0, -150]}, {}) | {"center_mm": [0, 0, 0]}, r"must be center_mm = \[0.0"),
         (TUBE, poses({}, {"end_mm": [0.0, 0.0, -50.0]}), "makes the lamp 0 mm long"),
         ({"absorption_per_mm": 0.01}, RIGHT, r"media\[0\].motion: the medium fills all space"),
     ],

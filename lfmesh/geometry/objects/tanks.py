@@ -32,6 +32,7 @@ def tank_bodies(tank: Tank, name: str) -> tuple[Target, Target]:
             name=f"{name} {part}",
             position_mm=tuple(position.tolist()),
             rotation_deg=tank.rotation_deg,
+            motion=tank.motion and tank.motion.about(tank.position_mm),
             refractor=Refractor(
                 box_mm=tuple(edges.tolist()),
                 index=matter.index,

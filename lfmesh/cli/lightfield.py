@@ -163,7 +163,10 @@ def expose(
     /,
     *,
     exposure_s: Annotated[
-        float | None, Parameter(help="Exposure time, s (default: bright pixels fill 80 % of their wells).")
+        float | None,
+        Parameter(
+            help="Exposure time, s (default: the scene's exposure, else bright pixels fill 80 % of their wells)."
+        ),
     ] = None,
     quantum_efficiency: Annotated[float, Parameter(help="Electrons per photon.")] = 0.6,
     bayer: Annotated[
@@ -197,7 +200,7 @@ def expose(
     image = runs.open_run(run)
     if bayer is not None and len(image.wavelengths_nm) == 1:
         say_note("the image has a single wavelength, so its mosaic shows brightness, not colour")
-    exposed = (detector.filling(image) if exposure_s is None else detector).expose(image)
+    exposed = (detector.timed_by(image) if exposure_s is None else detector).expose(image)
     brightest, saturated = exposed.expected_e.max(), exposed.saturated.mean()
     line = f"{exposed.detector.exposure_s:.3g} s: up to {brightest:.3g} electrons per pixel, {saturated:.2%} saturated."
     print(wrapped(line))

@@ -146,6 +146,26 @@ class Detector:
             raise LfmeshError("no exposure time fills the wells: the image is black")
         return replace(self, exposure_s=self.exposure_s * share * self.full_well_e / bright)
 
+    def timed_by(self, image: Image) -> "Detector":
+        """Return this detector with the exposure time of an image's scene, or else as `filling` does.
+
+        Parameters
+        ----------
+        image : Image
+            With `exposure` in its scene, the time for which the shutter is open counts.
+
+        Returns
+        -------
+        Detector
+
+        Raises
+        ------
+        LfmeshError
+            The image is black, and its scene has no exposure.
+        """
+        exposure = image.scene.exposure
+        return self.filling(image) if exposure is None else replace(self, exposure_s=exposure.open_s)
+
     def electrons_per_watt(self, wavelengths_nm: tuple[float, ...]) -> Array:
         """Return the photoelectrons per watt in each channel of an image, (filters, channels).
 

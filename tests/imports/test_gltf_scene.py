@@ -111,7 +111,7 @@ def test_an_assembly_stands_as_one_target_of_its_whole_file(tmp_path: Path, anch
     "motion",
     [
         "velocity_mm_s = [1.0, 2.0, 3.0], spin_deg_s = [0.0, 90.0, 10.0]",
-        "poses = [{ time_s = 0.0 }, { time_s = 1.0, position_mm = [9.0, 0.0, -500.0], rotation_deg = [0.0, 90.0, 0.0] }]",
+        "poses = [{ time_s = 0 }, { time_s = 1, position_mm = [9.0, 0.0, -500.0], rotation_deg = [0.0, 90.0, 0.0] }]",
     ],
 )
 def test_an_assembly_moves_as_one_target_of_its_whole_file(tmp_path: Path, anchor: str, motion: str) -> None:

@@ -41,6 +41,14 @@ def test_a_watt_is_that_many_photons(flat: Callable[..., lf.Image]) -> None:
     np.testing.assert_allclose(Detector(quantum_efficiency=0.25).expected_e(image), 0.25 * photons, rtol=1e-8)
 
 
+def test_the_exposure_of_the_scene_is_the_time_for_which_its_shutter_is_open(flat: Callable[..., lf.Image]) -> None:
+    """A shutter that opens and closes evenly in 0.2 s is open for half of that; without exposure, wells fill."""
+    half = lf.Exposure(duration_s=0.2, shutter=((0.0, 0.0), (0.1, 1.0), (0.2, 0.0)))
+    assert FINE.timed_by(flat(1.0, exposure=half)).exposure_s == pytest.approx(0.1)
+    assert FINE.timed_by(flat(1.0, exposure={"duration_s": 0.2})).exposure_s == 0.2
+    assert FINE.timed_by(flat(1.0)) == FINE.filling(flat(1.0))
+
+
 def test_variance_is_mean_in_the_shot_noise_limit(flat: Callable[..., lf.Image]) -> None:
     """Dispersion Σ(n − m)²/m of Poisson numbers with a known mean is chi-square to its first two moments."""
     levels = (30.0, 300.0, 3000.0)

@@ -386,6 +386,72 @@ def particles_in_a_sheet(draft: Draft, dice: Dice) -> bool | None:
     return None
 
 
+# Motion during the exposure
+
+
+def exposure_of(draft: Draft, dice: Dice) -> float:
+    """Give the scene an exposure, and return the end of the last row's window, s."""
+    duration, rows = dice.log_between(1e-3, 1.0), draft.camera["sensor"]["pixels"][1]
+    exposure: Tables = {"duration_s": duration}
+    if dice.chance(0.4):
+        exposure["row_time_s"] = rounded(duration * dice.log_between(0.02, 0.5))
+        exposure["row_direction"] = dice.one_of("down", "up")
+    if dice.chance(0.4):
+        times = [0.0, rounded(duration * dice.between(0.1, 0.5)), rounded(duration * dice.between(0.6, 0.9)), duration]
+        exposure["shutter"] = [[time, dice.between(0.0, 1.0)] for time in times]
+    draft.tables["exposure"] = exposure
+    return float(duration + exposure.get("row_time_s", 0.0) * (rows - 1))
+
+
+def motion_of(draft: Draft, dice: Dice, centre: list[float], end_s: float) -> Tables:
+    """Draw a velocity and a spin about a centre, small beside the field and half a turn."""
+    reach = 0.4 * draft.half_field_mm / end_s
+    motion: Tables = {"velocity_mm_s": dice.vector(reach, reach, 0.3 * reach)}
+    if dice.chance(0.5):
+        motion |= {"spin_deg_s": dice.vector(*[30.0 / end_s] * 3), "center_mm": centre}
+    return motion
+
+
+def poses_of(draft: Draft, dice: Dice, body: Tables, end_s: float) -> Tables:
+    """Draw poses up to the end of the exposure or beyond, about the body's own place."""
+    reach, poses = 0.4 * draft.half_field_mm, [{"time_s": 0.0}]
+    for time in (rounded(end_s * dice.between(0.3, 0.7)), rounded(1.01 * end_s)):
+        step = dice.vector(reach, reach, 0.3 * reach)
+        where = [rounded(w + d) for w, d in zip(body["position_mm"], step, strict=True)]
+        turn = [
+            rounded(a + d) for a, d in zip(body.get("rotation_deg", [0.0] * 3), dice.vector(*[20.0] * 3), strict=True)
+        ]
+        poses.append({"time_s": time, "position_mm": where, "rotation_deg": turn})
+    return {"center_mm": body["position_mm"], "poses": poses}
+
+
+@feature(scenes=0.12, own_kernels=True)
+def motion(draft: Draft, dice: Dice) -> bool | None:
+    """Bodies, lamps, media, particles or the camera move; nothing that stands in a tank, or bends light."""
+    bends = any({"index", "density_kg_m3"} & medium.keys() for medium in draft.tables.get("media", []))
+    in_tank = "tanks" in draft.tables
+    end_s = exposure_of(draft, dice)
+    bodies = [*draft.tables["targets"][1:], *(m for m in draft.tables.get("media", []) if "bounds" in m)]
+    lamps, clouds = draft.tables.get("lights", []), draft.tables.get("particles", [])
+    moving: list[Tables] = [] if in_tank or bends else [body for body in bodies if dice.chance(0.6)]
+    for body in moving:
+        drawn = poses_of if dice.chance(0.3) else motion_of
+        body["motion"] = drawn(draft, dice, body if drawn is poses_of else body["position_mm"], end_s)
+    for lamp in [lamp for lamp in lamps[:4] if dice.chance(0.5)]:
+        if lamp["kind"] == "directional":
+            lamp["motion"] = {"spin_deg_s": dice.vector(*[20.0 / end_s] * 3)}
+        else:
+            lamp["motion"] = motion_of(draft, dice, lamp.get("position_mm", lamp.get("start_mm")), end_s)
+        moving.append(lamp)
+    for cloud in [cloud for cloud in clouds if dice.chance(0.7) and not in_tank]:
+        step = dice.vector(*[0.3 * draft.half_field_mm] * 3)
+        cloud |= {"displacement": {"kind": "uniform", "vector_mm": step}, "frame_time_s": end_s}
+        moving.append(cloud)
+    if not bends and (dice.chance(0.3) or not moving):
+        draft.camera["motion"] = motion_of(draft, dice, [0.0, 0.0, 0.0], end_s)
+    return None if moving or not bends else False
+
+
 # Last, so that everything is moved.
 
 

@@ -3,13 +3,18 @@
 from collections import Counter
 from functools import cache
 
+import numpy as np
 import pytest
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
+from lfmesh.geometry import frame
+from lfmesh.geometry.motions import motions_of
+from lfmesh.geometry.rigid_motion import pose_at
 from tests.random_scenes.draft import FEATURES
 from tests.random_scenes.examine import IN_SUITE, REPEATED
 from tests.random_scenes.generator import OWN_KERNELS, Drawn, Kind, draw, smaller
+from tests.random_scenes.transforms import moved
 
 FIRST = 25
 """Draws of each kind that are looked at."""
@@ -66,3 +71,21 @@ def test_a_feature_that_is_left_out_leaves_the_others_as_they_are() -> None:
         assert one.without < set(whole.features)
         assert set(one.features) < set(whole.features)
         assert one.scene.camera.focus_mm == whole.scene.camera.focus_mm
+
+
+@pytest.mark.parametrize("number", [11, 14])
+def test_a_scene_that_is_moved_keeps_its_motions_relative_to_itself(number: int) -> None:
+    still = draw("scene", number)
+    assert "motion" in still.features
+    tilt, shift, end = [10.0, 20.0, 30.0], [100.0, 20.0, 3.0], still.tables["exposure"]["duration_s"]
+    there = frame.frame(tilt, shift)
+    moving = lf.Scene(**moved(still.tables, tilt, shift)).in_folder(asset_path("."))
+    before, after = (motions_of(scene) for scene in (still.scene, moving))
+    pairs = zip(
+        (before.camera, *before.bodies, *before.lights), (after.camera, *after.bodies, *after.lights), strict=True
+    )
+    for one, other in pairs:
+        assert (one is None) == (other is None)
+        if one is not None and other is not None:
+            wanted = frame.compose(there, frame.compose(pose_at(one, end), frame.inverse(there)))
+            np.testing.assert_allclose(pose_at(other, end), wanted, atol=1e-9 * still.tables["camera"]["focus_mm"])

@@ -25,17 +25,39 @@ def moved(scene: Tables, tilt_deg: list[float], shift_mm: list[float]) -> Tables
     scene = copy.deepcopy(scene)
     pose = scene["camera"].setdefault("pose", {})
     _move(pose, turn, shift, "shift_mm", "tilt_deg")
+    _move_motion(scene["camera"], turn, shift)
     # A medium without bounds is everywhere before the lens, and goes with it.
     media = [medium for medium in scene.get("media", []) if "bounds" in medium or "grid" in medium]
     for body in (*scene.get("targets", []), *scene.get("tanks", []), *media, *scene.get("particles", [])):
         _move(body, turn, shift, "position_mm", "rotation_deg")
+        _move_motion(body, turn, shift)
+        if (step := body.get("displacement")) is not None:
+            step["vector_mm"] = list(map(float, turn @ step["vector_mm"]))
         if (sheet := body.get("sheet")) is not None:
             sheet["point_mm"] = _point(sheet["point_mm"], turn, shift)
             for key in ("normal", "direction"):
                 sheet[key] = list(map(float, turn @ sheet[key]))
     for light in scene.get("lights", []):
         _move_light(light, turn, shift)
+        _move_motion(light, turn, shift)
     return scene
+
+
+def _move_motion(thing: Tables, turn: Any, shift: Any) -> None:
+    """Move the motion of a body, a lamp or the camera; its poses have no `turn_deg`."""
+    motion = thing.get("motion", {})
+    for key in ("velocity_mm_s", "spin_deg_s"):
+        if key in motion:
+            motion[key] = list(map(float, turn @ motion[key]))
+    if "center_mm" in motion:
+        motion["center_mm"] = _point(motion["center_mm"], turn, shift)
+    for pose in motion.get("poses", []):
+        for key in {"position_mm", "shift_mm"} & pose.keys():
+            pose[key] = _point(pose[key], turn, shift)
+        for key in {"rotation_deg", "tilt_deg"} & pose.keys():
+            _turn(pose, turn, key)
+        if "direction" in pose:
+            pose["direction"] = list(map(float, turn @ pose["direction"]))
 
 
 def _move_light(light: Tables, turn: Any, shift: Any) -> None:
@@ -135,7 +157,7 @@ def _scaled_value(key: str, value: Any, k: float) -> Any:
         return value
     if key.endswith("_per_mm") or key == "emission_w_mm3_sr":
         return value / k
-    if key.endswith("_mm") or key == "diameter_um":
+    if key.endswith(("_mm", "_mm_s")) or key == "diameter_um":
         return value * k
     return value * k**2 if key in ("power_w", "intensity_w_sr") else value
 

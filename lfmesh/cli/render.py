@@ -86,6 +86,10 @@ def check(scene: SceneFile, /) -> int:
         from lfmesh.transport.checks.media_places import media_places
 
         lines += [line for place in media_places(world) for line in place.lines(world.scene.primary_nm)]
+    if world.scene.exposure is not None:
+        from lfmesh.transport.checks.motion_lines import motion_lines
+
+        lines += motion_lines(world)
     if any_bends(world.scene):
         from lfmesh.transport.checks.field_lines import field_lines
         from lfmesh.transport.tables.bending_fields import bending_media

@@ -12,6 +12,7 @@ from lfmesh.geometry.objects.placement import placements
 from lfmesh.geometry.objects.targets import named_target
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import percent, plain
+from lfmesh.scene.motion import at_begin
 from lfmesh.transport.checks.found import few_hits_share, lit_pixels
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.certainty import typical_over_rms
@@ -407,8 +408,7 @@ def _reasons(image: Image) -> list[str]:
             takes = own and (reflectance_at(scene, number, scene.wavelengths_nm) < 1.0).any()
             ended = ledger.absorbed.get(_in_ledger(scene, number), 0.0)
             if place.share and target.refractor is None and takes and not ended and ledger.reached_target > 0.0:
-                lines.append(
-                    f"No path reached {place.name}, which stands in the field: it is small, or another body hides it."
-                )
+                stands = at_begin("which stands in the field", target, scene.camera)
+                lines.append(f"No path reached {place.name}, {stands}: it is small, or another body hides it.")
         return lines
     return []

@@ -18,6 +18,7 @@ from lfmesh.scene.first_order.solve import focus_wished_mm
 from lfmesh.scene.light.particles import shining_particles
 from lfmesh.scene.literals import percent
 from lfmesh.scene.model import format_path
+from lfmesh.scene.motion import at_begin
 from lfmesh.scene.objects.shapes import Box, Cylinder, Disk, Plane, Sphere
 from lfmesh.scene.objects.targets import Target
 from lfmesh.scene.relay_advice import relay_warnings
@@ -422,16 +423,16 @@ def _targets(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         if reach is None:
             continue
         if z - reach > 0:
-            yield f"{name} is out of the field: z = {z:g} mm is behind the first vertex; objects have z < 0"
+            why = f"z = {z:g} mm is behind the first vertex; objects have z < 0"
+            yield at_begin(f"{name} is out of the field: {why}", target, scene.camera)
         elif _outside(x, y, z, reach, facts):
-            yield (
-                f"{name} is out of the field: at z = {z:g} mm the camera sees "
-                f"{' × '.join(f'{2 * half:.4g}' for half in half_field_mm(z, facts))} mm around the axis"
-            )
+            sizes = " × ".join(f"{2 * half:.4g}" for half in half_field_mm(z, facts))
+            why = f"at z = {z:g} mm the camera sees {sizes} mm around the axis"
+            yield at_begin(f"{name} is out of the field: {why}", target, scene.camera)
         elif not facts.near_mm <= -z + reach or not -z - reach <= facts.far_mm:
             kind = "is sharp" if facts.focused or facts.microlens_f_number is None else "can be refocused"
             sharp = reach_in_words(facts.near_mm, facts.far_mm)
-            yield f"{name} stands at {-z:g} mm, out of the range that {kind}: {sharp}"
+            yield at_begin(f"{name} stands at {-z:g} mm, out of the range that {kind}: {sharp}", target, scene.camera)
 
 
 def _reach_mm(target: Target) -> float | None:

@@ -224,6 +224,17 @@ def is_moving(thing: Any) -> bool:
     return any(motion.velocity_mm_s or ()) or any(motion.spin_deg_s or ())
 
 
+def at_begin(words: str, *things: Any) -> str:
+    """Return a remark on the places of objects, with its time if one of them moves.
+
+    Parameters
+    ----------
+    words : str
+    *things : Target, Tank, Medium, Light or Camera
+    """
+    return f"{words}, at t = 0" if any(map(is_moving, things)) else words
+
+
 def centre_of_spin(thing: Any) -> Vector:
     """Return the point that an object's spin turns about at t = 0, world frame, mm.
 

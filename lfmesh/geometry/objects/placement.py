@@ -23,6 +23,7 @@ from lfmesh.scene import FirstOrder, Scene, Target
 from lfmesh.scene.advice import half_field_mm
 from lfmesh.scene.first_order.paraxial import quotient
 from lfmesh.scene.light.lights import Light
+from lfmesh.scene.motion import at_begin
 from lfmesh.scene.quantities import SMALLEST
 
 LARGE_MM = 1000.0
@@ -123,6 +124,7 @@ def _placement(scene: Scene, facts: FirstOrder, number: int) -> Placement:
     before = _before_the_camera(facets)
     share = share_of_field(in_field(before, facts)) if len(before) else 0.0
     lit_by = _lamps(scene, target, body, frame.inverse(to_camera)) if share else None
+    found = _warnings(scene, facts, target, body, seen, share, lit_by)
     return Placement(
         named_target(scene, number),
         corners.min(axis=0),
@@ -134,7 +136,7 @@ def _placement(scene: Scene, facts: FirstOrder, number: int) -> Placement:
         (body.texture.shape[1], body.texture.shape[0]) if body.texture is not None else None,
         lit_by,
         _contents(scene, target),
-        tuple(_warnings(scene, facts, target, body, seen, share, lit_by)),
+        tuple(at_begin(text, target, scene.camera, *scene.lights) for text in found),
     )
 
 

@@ -86,7 +86,17 @@ def _black(image: "Image") -> Iterator[PictureWarning]:
         yield BlackPictureWarning(
             "the picture is black: no path found light. lfmesh check names targets that are not lit or not in view; "
             f"image.ledger lists where the paths ended{'; out of the field: ' if out else ''}{', '.join(out)}"
+            f"{_in_time(image.scene)}"
         )
+
+
+def _in_time(scene: Scene) -> str:
+    """Return a remark on a black picture of a scene that moves, or ""."""
+    exposure = scene.exposure
+    if exposure is None or not scene.moves:
+        return ""
+    end_s = exposure.end_s(scene.camera.sensor.pixels[1])
+    return f"; these are places at t = 0, and the scene moves until t = {end_s:.4g} s: see the ways in lfmesh check"
 
 
 def _out_of_field(scene: Scene) -> list[str]:

@@ -11,6 +11,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.index_media import bends
 from lfmesh.geometry.objects.placement import in_field, share_of_field
 from lfmesh.scene import FirstOrder
+from lfmesh.scene.motion import is_moving
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.volumes import CYLINDER, NOT_IN_GRID, SHELL, SPHERE, Volumes, corners_of
 from lfmesh.transport.world import World
@@ -45,6 +46,8 @@ class MediumPlace:
     in_box : bool
         True if the optical depths belong to a box round the medium and are upper limits: it is bounded by a mesh,
         or by the body it is inside.
+    moves : bool
+        True if it moves relative to the camera during the exposure; its place is that at t = 0.
     """
 
     name: str
@@ -53,6 +56,7 @@ class MediumPlace:
     share: float
     depths: tuple[float, float] | None
     in_box: bool = False
+    moves: bool = False
 
     def lines(self, wavelength_nm: float) -> list[str]:
         """Describe the place in words, any warning last, as a note."""
@@ -74,7 +78,7 @@ class MediumPlace:
                 f"sight across its part of the field, at {wavelength_nm:g} nm"
                 + ("; these are upper limits, of the box around it" if self.in_box else "")
             )
-        return lines + [f"Note: {self.name} {OUT_OF_FIELD}"] * (self.share == 0.0)
+        return lines + [f"Note: {self.name} {OUT_OF_FIELD}{', at t = 0' if self.moves else ''}"] * (self.share == 0.0)
 
 
 def media_places(world: World) -> list[MediumPlace]:
@@ -114,7 +118,8 @@ def _media(world: World) -> Iterator[MediumPlace]:
         share = share_of_field(in_field(seen, facts))
         reach = float(-seen[:, 2].max()), float(-seen[:, 2].min())
         in_box = bool(row["bounds"] == SHELL) or medium.inside is not None
-        yield MediumPlace(name, what, reach, share, depths, in_box=in_box)
+        moves = is_moving(medium) or is_moving(world.scene.camera)
+        yield MediumPlace(name, what, reach, share, depths, in_box=in_box, moves=moves)
 
 
 def _particles(world: World) -> Iterator[MediumPlace]:
@@ -123,7 +128,9 @@ def _particles(world: World) -> Iterator[MediumPlace]:
         seen = frame.points(move, group.points)
         share = float((np.abs(in_field(seen, world.facts)) <= 1.0).all(axis=1).mean())
         reach = float(-seen[:, 2].max()), float(-seen[:, 2].min())
-        yield MediumPlace(f"particles[{group.entry}]", f"particles, {len(seen)} of them emitting", reach, share, None)
+        moves = world.scene.particles[group.entry].frame_time_s is not None or is_moving(world.scene.camera)
+        what = f"particles, {len(seen)} of them emitting"
+        yield MediumPlace(f"particles[{group.entry}]", what, reach, share, None, moves=moves)
 
 
 def _depths(

@@ -5,6 +5,8 @@ are joined by a screw: a turn about a fixed axis with a slide along it, which is
 axis (Chasles 1830).
 """
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -25,6 +27,12 @@ SEGMENT = np.dtype(
     ]
 )
 """Part of a motion, up to the begin of the next one; the first and the last extend to all earlier and later times."""
+
+STEP = 0.1
+"""Turn between neighbouring times of a sweep, rad: the path is off its chord by at most 1/800 of the radius."""
+
+MOST_STEPS = 1024
+"""Steps of a sweep along one segment; faster turns take longer steps."""
 
 
 def steady(velocity_mm_s: ArrayLike, spin_deg_s: ArrayLike, centre_mm: ArrayLike) -> NDArray[np.void]:
@@ -105,6 +113,114 @@ def greatest_speed(motion: NDArray[np.void], points: Array) -> float:
         speed = float(np.linalg.norm(row["velocity"])) + abs(float(row["rate"])) * float(reach.max(initial=0.0))
         fastest = max(fastest, speed)
     return fastest
+
+
+def resting() -> NDArray[np.void]:
+    """Return the motion of a body that stays where it is, the identity at all times, (1,) SEGMENT."""
+    return steady((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def seen_from(camera: NDArray[np.void] | None, motion: NDArray[np.void], time_s: float) -> Array:
+    """Return the pose of a body at a time relative to the camera, (3, 4).
+
+    Parameters
+    ----------
+    camera : (m,) SEGMENT or None
+        Motion of the camera in the world; None: the camera rests.
+    motion : (n,) SEGMENT
+        Motion of the body in the world.
+    time_s : float
+    """
+    pose = pose_at(motion, time_s)
+    return pose if camera is None else frame.compose(frame.inverse(pose_at(camera, time_s)), pose)
+
+
+def sweep(
+    motion: NDArray[np.void],
+    points: Array,
+    begin_s: float,
+    end_s: float,
+    camera: NDArray[np.void] | None = None,
+) -> tuple[Array, float]:
+    """Return places of points of a body at increasing times, and a bound on how far its path leaves their chords.
+
+    At every time from `begin_s` to `end_s`, each point lies within the margin of a straight line between two
+    successive places of its own (up to rounding). So the hull of all places, enlarged by the margin, holds the body's
+    hull throughout.
+
+    Parameters
+    ----------
+    motion : (n,) SEGMENT
+        In the world.
+    points : (m, 3) float64, mm
+        In the frame of the body.
+    begin_s, end_s : float
+    camera : (c,) SEGMENT, optional
+        Motion of the camera in the world; the places are then relative to the camera.
+
+    Returns
+    -------
+    places : (k, m, 3) float64, mm
+        At k times, the first at `begin_s` and the last at `end_s`.
+    margin_mm : float
+    """
+    still = resting() if camera is None else camera
+    changes = np.concatenate([motion["begin_s"][1:], still["begin_s"][1:]])
+    ends = [begin_s, *np.unique(changes[(changes > begin_s) & (changes < end_s)]).tolist(), end_s]
+    places, margin = [frame.points(seen_from(camera, motion, begin_s), points)], 0.0
+    for first, last in pairwise(ends):
+        body, eye = _segment_at(motion, first), _segment_at(still, first)
+        turn = float(body["rate"] + eye["rate"])
+        if turn > 0.0 and not (body["velocity"].any() or eye["velocity"].any() or body["rate"] * eye["rate"]):
+            # About one fixed axis; all further turns are the same.
+            path_end = min(last, first + 2.0 * np.pi / turn)
+        else:
+            path_end = last
+        steps = min(int(np.ceil(turn * (path_end - first) / STEP)), MOST_STEPS) or 1
+        times = np.linspace(first, path_end, steps + 1)
+        places += [frame.points(seen_from(camera, motion, float(time)), points) for time in times[1:]]
+        if path_end < last:
+            places.append(frame.points(seen_from(camera, motion, last), points))
+        margin = max(margin, _off_chord(body, eye, points, times))
+    return np.array(places), margin
+
+
+def _segment_at(motion: NDArray[np.void], time_s: float) -> np.void:
+    """Return the segment of a motion from a time on."""
+    row: np.void = motion[np.searchsorted(motion["begin_s"][1:], time_s, side="right")]
+    return row
+
+
+def _off_chord(body: np.void, eye: np.void, points: Array, times: Array) -> float:
+    """Return a bound on the distance of paths from their chords between neighbouring times, mm.
+
+    A path with acceleration a leaves the chord over a time T by at most a T²/8. The camera's turn adds Coriolis and
+    centrifugal acceleration.
+
+    Parameters
+    ----------
+    body, eye : SEGMENT
+        Present segments of the body and of the camera.
+    points : (m, 3) float64, mm
+    times : (k,) float64
+        Equally spaced.
+    """
+    step = float(times[1] - times[0])
+    placed = frame.points(body["start"], points) - body["centre"]
+    radius = np.linalg.norm(np.cross(placed, body["axis"]), axis=1)
+    acceleration = body["rate"] ** 2 * radius
+    if eye["rate"] > 0.0:
+        speed = np.linalg.norm(body["velocity"] - eye["velocity"]) + body["rate"] * radius
+        # The body's place about its own centre is as long at all times.
+        between = np.array([_centre(body, time) - _centre(eye, time) for time in (times[0], times[-1])])
+        farthest = np.linalg.norm(between, axis=1).max() + np.linalg.norm(placed, axis=1)
+        acceleration = acceleration + 2.0 * eye["rate"] * speed + eye["rate"] ** 2 * farthest
+    return float(acceleration.max(initial=0.0)) * step**2 / 8.0
+
+
+def _centre(row: np.void, time_s: float) -> Array:
+    """Return the centre of the turn of a segment at a time, (3,) mm."""
+    return np.asarray(row["centre"] + row["velocity"] * (time_s - row["begin_s"]))
 
 
 def _set_turn(row: NDArray[np.void], turn_rad_s: Array) -> None:

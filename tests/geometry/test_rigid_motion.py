@@ -67,3 +67,48 @@ def test_no_point_is_faster_than_the_bound(seed: int) -> None:
     bound = rigid_motion.greatest_speed(motion, p)
     assert fastest <= bound * (1.0 + 1e-9)
     assert bound < 2.0 * fastest
+
+
+def off_chords(places: np.ndarray, points: np.ndarray) -> float:
+    """Return the largest distance of points (n, 3) from a path of straight pieces through places (k, 3)."""
+    start, along = places[:-1], np.diff(places, axis=0)
+    square_length = np.maximum((along**2).sum(axis=1), np.finfo(np.float64).tiny)
+    share = np.einsum("nki,ki->nk", points[:, None] - start, along) / square_length
+    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
+    return float(np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1).max())
+
+
+@pytest.mark.parametrize("camera_moves", [False, True])
+@pytest.mark.parametrize("seed", range(5))
+def test_every_place_of_a_path_lies_within_the_margin_of_its_sweep(seed: int, camera_moves: bool) -> None:
+    draw = np.random.default_rng(seed)
+    motion, camera = (
+        rigid_motion.through_poses([0.0, 1.0, 1.5], np.array([drawn_pose(draw) for _ in range(3)])) for _ in range(2)
+    )
+    points = draw.normal(0.0, 50.0, (4, 3))
+    seen = camera if camera_moves else None
+    places, margin = rigid_motion.sweep(motion, points, 0.2, 2.0, seen)
+    frames = [rigid_motion.seen_from(seen, motion, float(t)) for t in np.linspace(0.2, 2.0, 1001)]
+    path = np.array([frame.points(pose, points) for pose in frames])
+    np.testing.assert_allclose(places[[0, -1]], path[[0, -1]], rtol=1e-12)
+    off = max(off_chords(places[:, k], path[:, k]) for k in range(len(points)))
+    assert 0.02 * margin < off <= margin
+    assert margin < 0.02 * np.ptp(places, axis=(0, 1)).max()
+
+
+def test_the_sweep_of_a_slide_is_its_two_ends() -> None:
+    motion = rigid_motion.steady((10.0, 0.0, -5.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    places, margin = rigid_motion.sweep(motion, np.zeros((1, 3)), 0.0, 2.0)
+    np.testing.assert_allclose(places[:, 0], [[0.0, 0.0, 0.0], [20.0, 0.0, -10.0]])
+    assert margin == 0.0
+
+
+def test_the_sweep_of_many_turns_about_one_axis_is_that_of_one() -> None:
+    motion = rigid_motion.steady((0.0, 0.0, 0.0), (0.0, 0.0, 36e4), (0.0, 0.0, 0.0))
+    point = np.array([[100.0, 0.0, 3.0]])
+    places, margin = rigid_motion.sweep(motion, point, 0.0, 1.0005)
+    assert len(places) < 70
+    assert margin < 0.13
+    np.testing.assert_allclose(places[-1, 0], [-100.0, 0.0, 3.0], atol=1e-8)
+    path = np.array([frame.points(rigid_motion.pose_at(motion, t), point)[0] for t in np.linspace(0.0, 1.0005, 999)])
+    assert off_chords(places[:, 0], path) <= margin

@@ -6,6 +6,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.errors import (
     ClosedGapWarning,
@@ -19,6 +20,7 @@ from lfmesh.geometry.index_media import bends
 from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
+from lfmesh.geometry.meshes.mesh import Mesh
 from lfmesh.geometry.objects.targets import target_body
 from lfmesh.geometry.surfaces.division import divided
 from lfmesh.scene import Scene
@@ -49,6 +51,8 @@ from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book
 from lfmesh.transport.tables.lens import lens_tables, mla_tables, with_diffracting_stop, with_diffraction
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList, clear, index2_behind_lens
+from lfmesh.transport.tables.motion_tables import hulls_of, motion_tables, swept, swept_boxes, with_motions
+from lfmesh.transport.tables.motions import STILL, Motions
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, with_fields
 from lfmesh.transport.tables.particles import corners_round, particle_tables, refuse_particles_behind
 from lfmesh.transport.tables.polarisation import polarisation_tables
@@ -61,6 +65,8 @@ if TYPE_CHECKING:
 
 
 from lfmesh.transport.world import Bodies, World
+
+Array = NDArray[np.float64]
 
 
 def book_of(scene: Scene, shape: LensShape) -> Book:
@@ -203,11 +209,16 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     )
     warn_caller(doubtful)
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
+    motions = motion_tables(scene, targets, objects, moves)
+    hulls = hulls_of(targets, objects, moves[WORLD_FRAME, OBJECT_FRAME]) if motions is not None else []
+    objects = with_motions(objects, motions, hulls, scene, object_mesh)
     refuse_untraceable_fields(scene, bent, targets, moves, float(lens.box_low[2]))
     fields = bending_fields(bent, moves, objects.media.indices[AIR], book.trapped)
     if fields is not None:
-        fields = with_free(fields, [*(t.hull.moved(moves[WORLD_FRAME, OBJECT_FRAME]).vertices for t in targets),
-                                    housing.moved(moves[CAMERA_FRAME, OBJECT_FRAME]).vertices])  # fmt: skip
+        standing = [t.hull.moved(moves[WORLD_FRAME, OBJECT_FRAME]).vertices for t in targets]
+        if motions is not None:
+            standing = [_held_throughout(motions, i, hull) for i, hull in enumerate(hulls)]
+        fields = with_free(fields, [*standing, housing.moved(moves[CAMERA_FRAME, OBJECT_FRAME]).vertices])
         fields = with_short_chords(fields, pixel_sizes(bent, scene, report))
     objects = with_fields(objects, fields, scene, object_mesh)
     columns, rows = scene.camera.sensor.pixels
@@ -225,11 +236,16 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     def find_aim() -> tuple[AimTables, AimProof | None]:
         if not aimed:
             return anywhere, None
-        grains = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], corners_round(particles))
-        boxes = [corners_in_camera(objects.volumes, moves), grains]
+        grains, still = corners_round(particles), targets
+        if motions is None:
+            boxes = [corners_in_camera(objects.volumes, moves), frame.points(moves[WORLD_FRAME, CAMERA_FRAME], grains)]
+        else:
+            still = [target for target, mover in zip(targets, motions.of_target, strict=False) if mover == STILL]
+            grains = frame.points(moves[WORLD_FRAME, OBJECT_FRAME], grains)
+            boxes = [swept_boxes(motions, hulls, objects, grains, moves)]
         if reach_of(objects.volumes)[1]:
             boxes.append(all_before(lens))
-        shapes = shapes_in_camera(targets, np.concatenate(boxes), moves)
+        shapes = shapes_in_camera(still, np.concatenate(boxes), moves)
         exact = bool(shape.analytic.all())
         camera = Camera(clear(stopped), clear(diffracting), sensor, seen_moves)
         return proven_aim(scene, report, camera, shapes, analytic=exact)
@@ -243,6 +259,7 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
         frames=moves,
         aim=anywhere,
         polarised=polarised,
+        motions=motions,
     )
     cover = cover_tables(scene, wavelengths_nm, interfaces.cover, known, book)
     if cover is not None:
@@ -258,8 +275,37 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     how = {"rings": rings, "aimed": aimed}
     bodies = Bodies(shape, targets, housing)
     world = World(scene, report, tables, finders, book, bodies, particles, find_aim, how)
+    world.moving_finders = _moving_finders(object_mesh, bodies_met, motions)
     world.warnings = (*doubtful, *standing)
     return world
+
+
+def _held_throughout(motions: Motions, target: int, hull: Array) -> Array:
+    """Return points whose hull holds a target throughout the exposure, (n, 3) mm, object frame."""
+    places, margin = swept(motions, int(motions.of_target[target]), hull)
+    if not margin or not len(places):
+        return places
+    return np.array([places.min(axis=0) - margin, places.max(axis=0) + margin])
+
+
+def _moving_finders(mesh: Mesh, bodies: NDArray[np.int64], motions: Motions | None) -> tuple[Finder, ...]:
+    """Return the finders of the facets of each mover; none if nothing moves.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Targets and housing, object frame.
+    bodies : (m,) int64
+        Target of each facet; −1: the housing.
+    motions : Motions or None
+    """
+    finders = []
+    for mover in range(0 if motions is None else len(motions.bounds)):
+        own = np.flatnonzero(motions.of_target[bodies] == mover)
+        used, faces = np.unique(mesh.faces[own], return_inverse=True)
+        part, owners = divided(Mesh(mesh.vertices[used], faces.reshape(-1, 3)), bodies[own])
+        finders.append(Finder(part, own[owners]))
+    return tuple(finders)
 
 
 def _rebuilt(scene: Scene, how: dict[str, Any]) -> World:

@@ -39,9 +39,11 @@ from lfmesh.transport.packets.packet import (
     LENS,
     LENS_MESH,
     LIGHTS,
+    MOVING_FRAME,
     NO_SURFACE,
     NODE,
     NODES,
+    OBJECT_FRAME,
     OBJECTS,
     PACKET,
     PLATE,
@@ -71,6 +73,7 @@ from lfmesh.transport.sequences.ghosts import GhostRoom, follow_ghosts, ghost_ro
 from lfmesh.transport.sequences.image_path import follow_image_path
 from lfmesh.transport.tables.lamp_tree import MOST_ASKED
 from lfmesh.transport.tables.media import clear
+from lfmesh.transport.tables.motions import STILL, forget_moment, moving
 from lfmesh.transport.tables.phase_faces import carrying, most_orders
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.threads import stop_if_unwanted
@@ -126,6 +129,7 @@ class Workspace:
         self.tops = np.zeros(TOPS, np.int64)
         self.stacks = Stacks(packet, self.tops, max(CHILDREN, most_orders(self.tables)))
         self.asked = np.zeros(MOST_NODES, ASKED)
+        self.moving = moving(self.tables.motions, chunk)
         self.origins = np.zeros((chunk, 3), np.float32)
         self.directions = np.zeros((chunk, 3), np.float32)
         self.deposits = np.zeros(0, DEPOSIT)
@@ -170,6 +174,7 @@ class Workspace:
             Number of samples of the film's pixels, if more.
         """
         self.tops[:] = 0
+        forget_moment(self.moving)
         pixels = self.options.pixels._replace(each=0)
         self.book[:] = 0.0
         self.counts[:] = 0
@@ -203,7 +208,13 @@ class Workspace:
             polarised=self.tables.polarised,
             asked=self.asked,
             bending=self.tables.objects.fields,
+            moving=self.moving,
         )
+
+    @property
+    def frames_of_objects(self) -> NDArray[np.float64]:
+        """Table of frames for kernels of object space, (6, 6, 3, 4)."""
+        return self.tables.frames if self.moving is None else self.moving.frames
 
     def ends(self) -> NDArray[np.void]:
         """Return the ends of the chunk's packets, (n,) END."""
@@ -223,7 +234,8 @@ class Workspace:
                 number = np.arange(top, top + len(fresh))
                 p = np.stack([packets[axis][fresh] for axis in "xyz"], axis=-1)
                 nodes = self.nodes
-                nodes["position"][number] = frame_moves.points(self.tables.frames[frame, WORLD_FRAME], p)
+                move = self.tables.frames[OBJECT_FRAME if frame > MOVING_FRAME else frame, WORLD_FRAME]
+                nodes["position"][number] = frame_moves.points(move, p)
                 nodes["weight"][number] = packets["weight"][fresh]
                 for name in ("parent", "surface", "part"):
                     nodes[name][number] = NO_SURFACE
@@ -296,8 +308,11 @@ class Workspace:
                 found = self._find(face.cells, count)
             shade_cells(wave, found, self.mla_block, self.numbers, face, frames, lens_surfaces, options, flow, in_order)
         elif station == OBJECTS:
-            admit_to_objects(wave, origins, directions, frames, tables.objects.fields)
+            admit_to_objects(
+                wave, origins, directions, self.frames_of_objects, tables.objects.fields, options, self.moving
+            )
             found = self._find(OBJECTS, count)
+            self._find_moved(found)
             # Only the box of the lens is used there: one compiled kernel for all lenses.
             shade_objects(wave, found, clear(lens), self._object_space(flow))
         elif station == LIGHTS:
@@ -305,7 +320,7 @@ class Workspace:
         elif station == PLATE:
             through_plate(wave, self.mla_block, self.numbers, mla, frames, lens_surfaces, options, flow)
         elif station == STUCK:
-            lose_stuck(wave, lens.lost_slot, frames, options, flow)
+            lose_stuck(wave, lens.lost_slot, self.frames_of_objects, options, flow)
         elif tables.cover is not None:
             through_cover(wave, tables.sensor, tables.cover, mla.present, lens_surfaces, frames, options, flow)
         elif tables.sensor.reflectance > 0.0:
@@ -316,7 +331,7 @@ class Workspace:
 
     def _object_space(self, flow: Flow) -> ObjectSpace:
         tables = self.tables
-        return ObjectSpace(self.options, flow, tables.frames, tables.objects, tables.aim.entrance)
+        return ObjectSpace(self.options, flow, self.frames_of_objects, tables.objects, tables.aim.entrance)
 
     def _by_colour(self, wave: NDArray[np.void]) -> list[NDArray[np.void]]:
         """Return the packets of a wave grouped by wavelength: a block of rays has one."""
@@ -333,10 +348,26 @@ class Workspace:
 
     def _find(self, station: int, count: int) -> NDArray[np.int32]:
         began = time.perf_counter()
-        found = self.world.finders[station].find(self.origins[:count], self.directions[:count])
+        moves = station == OBJECTS and self.moving is not None
+        finder = self.world.moving_finders[STILL] if moves else self.world.finders[station]
+        found = finder.find(self.origins[:count], self.directions[:count])
         self.embree_seconds += time.perf_counter() - began
         self.queries += count
         return found
+
+    def _find_moved(self, found: NDArray[np.int32]) -> None:
+        """Find the facets of movers that move, for the queries of admission; `found` holds those of the others."""
+        if self.moving is None:
+            return
+        memory, began = self.moving, time.perf_counter()
+        memory.found[STILL, : len(found)] = found
+        for mover, finder in enumerate(self.world.moving_finders):
+            count = int(memory.queried[mover]) if mover != STILL else 0
+            if count:
+                facets = finder.find(memory.origins[mover, :count], memory.directions[mover, :count])
+                memory.found[mover, memory.packet[mover, :count]] = facets
+                self.queries += count
+        self.embree_seconds += time.perf_counter() - began
 
     @property
     def _children(self) -> int:

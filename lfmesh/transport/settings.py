@@ -17,6 +17,7 @@ from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     EVENTS,
     FALLBACKS,
+    OBJECT_FRAME,
     REQUERIES,
     ROULETTE,
     TRANSMIT,
@@ -25,12 +26,16 @@ from lfmesh.transport.packets.packet import (
     Thinning,
 )
 from lfmesh.transport.paths.automaton import EVERY
+from lfmesh.transport.tables.motion_tables import pose_of_mover
 from lfmesh.transport.world import World
 
 NEAR_LENS = 10.0
 """Distance of a target from the lens, in radii of its widest surface, below which light may return to the target. It
 makes a white sheet in front of an uncoated singlet 5.2 % brighter at half a radius, 0.25 % at four radii, and less
 than 0.05 % at ten."""
+
+TIMES = 17
+"""Number of times at which the distance of a target that moves from the lens is taken."""
 
 BENT_BACK = 1e-2
 """Deflection by media, rad, above which light may return to a flat target: the square is its largest share."""
@@ -71,6 +76,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         aimed=True,
         paths=EVERY,
         importance=transport.method == "adjoint" and not tracing,
+        still=tracing or record,
     )
     thinning = {name: override.pop(name) for name in Thinning._fields if name in override}
     return with_thinning(options._replace(**override), **thinning)
@@ -100,9 +106,18 @@ def _faces(world: World) -> int:
 
 def _is_near_lens(world: World) -> bool:
     """Tell whether a target is so near that the lens reflects some of its light back onto it."""
-    (eye,) = frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], np.zeros((1, 3)))
+    moves, motions = world.tables.frames, world.tables.motions
+    (eye,) = frame.points(moves[CAMERA_FRAME, WORLD_FRAME], np.zeros((1, 3)))
     near = NEAR_LENS * max(world.lens_shape.rims)
-    return any(body.distance_mm(eye) < near for body in world.targets)
+    if motions is None:
+        return any(body.distance_mm(eye) < near for body in world.targets)
+    for body, mover in zip(world.targets, motions.of_target, strict=False):
+        for time_s in np.linspace(0.0, motions.end_s, TIMES):
+            back = frame.inverse(pose_of_mover(motions, int(mover), float(time_s)))
+            way = frame.compose(frame.compose(moves[OBJECT_FRAME, WORLD_FRAME], back), moves[WORLD_FRAME, OBJECT_FRAME])
+            if body.distance_mm(frame.points(way, [eye])[0]) < near:
+                return True
+    return False
 
 
 def ledger_of(book: NDArray[np.float64], counts: NDArray[np.int64], world: World, packets: int, unit: str) -> Ledger:

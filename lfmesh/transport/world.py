@@ -43,6 +43,7 @@ from lfmesh.transport.sequences.ghosts import GhostTables
 from lfmesh.transport.tables.bending_fields import boxes_of_fields
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
+from lfmesh.transport.tables.motion_tables import box_round, hulls_of
 from lfmesh.transport.tables.particles import ParticleTables
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
 from lfmesh.transport.tables.tables import AimTables, Tables
@@ -110,6 +111,8 @@ class World(Shown):
         """Key of its inputs, see `world_cache.key_of`; None if they changed meanwhile."""
         self._said: tuple[Warning, ...] = ()
         """All warnings of `build`."""
+        self.moving_finders: tuple[Finder, ...] = ()
+        """Finders of the facets of each mover, see `tables.motions`; none if nothing moves."""
         self._untouched: World | None = None
         """Copy for renders, unaffected by its owner's changes to this world."""
 
@@ -160,6 +163,14 @@ class World(Shown):
             return None
         # Media are left out, so that a medium's image and its projection matrix use the same rays.
         boxes = np.array([target.box_mm for target in self.targets]) if self.targets else None
+        motions, moves = self.tables.motions, self.tables.frames
+        if motions is not None and self.targets:
+            hulls = hulls_of(self.targets, self.tables.objects, moves[WORLD_FRAME, OBJECT_FRAME])
+            corners = [
+                box_round(motions, int(mover), hull, moves[OBJECT_FRAME, WORLD_FRAME])
+                for mover, hull in zip(motions.of_target, hulls, strict=False)
+            ]
+            boxes = np.stack([np.min(corners, axis=1), np.max(corners, axis=1)], axis=1)
         return ghost_tables(self.aimed_tables, boxes, self.scene.transport.max_events)
 
     @property
@@ -196,7 +207,10 @@ class World(Shown):
 
     @cached_property
     def is_flat(self) -> bool:
-        """True if all facets of all targets lie in one plane, so that no light goes from target to target."""
+        """True if all facets of all targets lie in one plane throughout, so that no light goes between targets."""
+        motions = self.tables.motions
+        if motions is not None and len(np.unique(motions.of_target[:-1])) > 1:
+            return False
         return in_one_plane(target.hull for target in self.targets)
 
     @property

@@ -12,6 +12,7 @@ from lfmesh.transport.packets.packet import (
     BY_MESH,
     ENDED,
     LENS,
+    MOVING_FRAME,
     OBJECT_FRAME,
     OBJECTS,
     OPTICAL,
@@ -105,6 +106,8 @@ def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], cou
     """Return one ray without an end for each packet."""
     p = np.stack([packets[axis] for axis in ("x", "y", "z")], axis=-1)
     d = np.stack([packets[axis] for axis in ("dx", "dy", "dz")], axis=-1)
+    # At t = 0 the frames of things that move are the object frame.
+    frame = np.where(frame > MOVING_FRAME, OBJECT_FRAME, frame)
     for number in np.unique(frame):
         some = frame == number
         to_world = work.tables.frames[number, WORLD_FRAME]
@@ -142,7 +145,9 @@ def _followed(work: Workspace, counts: NDArray[np.bool_]) -> Segments:
     while top := int(work.tops[OBJECTS]):
         fresh = work.stacks.waiting(OBJECTS)[known:]
         unused = np.empty((len(fresh), 3), np.float32)
-        admit_to_objects(fresh, unused, unused.copy(), work.tables.frames, work.tables.objects.fields)
+        admit_to_objects(
+            fresh, unused, unused.copy(), work.frames_of_objects, work.tables.objects.fields, work.options, work.moving
+        )
         p = np.stack([fresh[axis] for axis in ("x", "y", "z")], axis=-1)
         is_child = np.ones(len(fresh), np.bool_)
         if len(starts):

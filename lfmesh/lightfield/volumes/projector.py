@@ -336,4 +336,4 @@ def _workspace(world: Any, part: Part) -> Workspace:
         # Each chord is a segment: no field is crossed in one move.
         fields = objects.fields._replace(free=np.zeros_like(objects.fields.free))
         tables = tables._replace(objects=objects._replace(fields=fields))
-    return Workspace(world, part.options, CHUNK, tables)
+    return Workspace(world, part.options._replace(still=True), CHUNK, tables)

@@ -14,6 +14,7 @@ from lfmesh.geometry.objects.round_faces import lies_in
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.facets import crosses
+from lfmesh.transport.events.moving import mover_of, point_between
 from lfmesh.transport.packets.packet import NO_SURFACE
 from lfmesh.transport.tables.tables import AIR, GlassTables, ObjectTables
 
@@ -89,8 +90,8 @@ def medium_of(objects: ObjectTables, inside: int) -> int:
 
 
 @kernel
-def bodies_at(objects: ObjectTables, x: float, y: float, z: float) -> int:
-    """Return the bodies around a point of the object frame, as packets hold them; `TOO_MANY` if there is no room.
+def bodies_at(objects: ObjectTables, moving: Any, mover: int, x: float, y: float, z: float) -> int:
+    """Return the bodies around a point, as packets hold them; `TOO_MANY` if there is no room.
 
     A line along z from a point inside crosses a body's shell an odd number of times. Both facets of an edge decide
     alike on which side the line passes. Round bodies are tested directly.
@@ -98,12 +99,16 @@ def bodies_at(objects: ObjectTables, x: float, y: float, z: float) -> int:
     Parameters
     ----------
     objects : ObjectTables
+    moving : Moving or None
+    mover : int
+        Mover in whose frame the point is given; 0: the object frame.
     x, y, z : float, mm
         Point, not on a shell.
     """
-    inside = 0
+    inside, point = 0, (x, y, z)
     for rank in range(1, len(objects.by_rank)):
         body = objects.by_rank[rank]
+        x, y, z = point_between(moving, mover, mover_of(moving, body), point[0], point[1], point[2])
         is_in_it = _is_in_round(objects.rounds, body, x, y, z)
         for prim in range(len(objects.facets)):
             facet = objects.facets[prim]

@@ -13,7 +13,7 @@ from lfmesh.transport.tables.volumes import BOX, CYLINDER, IN_FRONT, SHELL
 
 @inlined
 def own_ray(row: Any, ray: Ray) -> Ray:
-    """Transform a ray from the object frame into a medium's own frame.
+    """Transform a ray from the object frame, or that of the medium's mover, into a medium's own frame.
 
     Parameters
     ----------

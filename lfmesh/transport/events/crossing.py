@@ -37,6 +37,7 @@ from lfmesh.transport.packets.packet import (
     WORLD_FRAME,
     Flow,
     Options,
+    frame_in_table,
     keep_chord,
     keep_state,
     put,
@@ -238,7 +239,7 @@ def record_interface(
     """
     top = flow.tops[NODES]
     node = flow.nodes[top]
-    wx, wy, wz = move_point(frames, frame, WORLD_FRAME, x, y, z)
+    wx, wy, wz = move_point(frames, frame_in_table(frame), WORLD_FRAME, x, y, z)
     node.parent = parent
     node.position[0], node.position[1], node.position[2] = wx, wy, wz
     node.weight = weight
@@ -317,9 +318,9 @@ def _keep_end(
             flow, frames, frame, x, y, z, weight, ENDS_AT + slot, NO_SURFACE, EVENT_OF_STATUS[status], packet.node
         )
     kept = flow.ended[flow.tops[ENDED]]
-    wx, wy, wz = move_point(frames, frame, WORLD_FRAME, x, y, z)
+    wx, wy, wz = move_point(frames, frame_in_table(frame), WORLD_FRAME, x, y, z)
     kept.position[0], kept.position[1], kept.position[2] = wx, wy, wz
-    wx, wy, wz = move_direction(frames, frame, WORLD_FRAME, dx, dy, dz)
+    wx, wy, wz = move_direction(frames, frame_in_table(frame), WORLD_FRAME, dx, dy, dz)
     kept.direction[0], kept.direction[1], kept.direction[2] = wx, wy, wz
     kept.weight = weight
     kept.source = packet.source & PIXEL_MASK

@@ -19,7 +19,7 @@ def drawn_time(motions: Motions, options: Options, packet: Any) -> float:
     """Return the time of a packet, s.
 
     A packet from a pixel has a random time in the window of its row, by the opening of the shutter; a packet from a
-    light has a uniform time in all windows together. A traced ray has t = 0.
+    light has a uniform time in all windows together. Without random times, t = 0.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def drawn_time(motions: Motions, options: Options, packet: Any) -> float:
     options : Options
     packet : PACKET
     """
-    if options.tracing or options.record:
+    if options.still:
         return 0.0
     if not options.adjoint:
         return motions.end_s * uniform(derived(derived(options.stream, TIMES), packet.source), 0)

@@ -2,8 +2,11 @@
 
 An event at a body takes place in the frame of its mover, in which the body rests and all its tables hold: the packet's
 ray is moved there, and its `frame` says so. In the thread's table of frames, `Moving.frames`, that frame stands for
-the object frame, so code that goes from the object frame to the camera or the world need not know of motion. Children stay in the frame of their parent until their next query (`packets.packet.put`). A packet's time
-follows from its source and its sample, so all packets of a sample have one time and no packet stores it.
+the object frame, so code that goes from the object frame to the camera or the world need not know of motion. Children
+stay in the frame of their parent (`packets.packet.put`). A packet's time follows from its source and its sample, so all
+packets of a sample have one time and no packet stores it.
+
+The world of the table of frames at a later time is the one that the camera has carried along.
 
 `moving` is None in a scene without motion; numba then compiles nothing here.
 """
@@ -14,10 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, point_through
+from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.rigid_motion import fill_pose
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.exposure import drawn_time
-from lfmesh.transport.packets.packet import FRAMES, MOVING_FRAME, OBJECT_FRAME, Options, mover_of_frame
+from lfmesh.transport.packets.packet import (
+    CAMERA_FRAME,
+    MOVING_FRAME,
+    OBJECT_FRAME,
+    WORLD_FRAME,
+    Options,
+    mover_of_frame,
+)
 from lfmesh.transport.tables.motions import STALE, STILL
 
 Array = NDArray[np.float64]
@@ -93,7 +104,32 @@ def mover_of(moving: Any, body: int) -> int:
     moving : Moving or None
     body : int
     """
-    return 0 if moving is None else moving.motions.of_target[body]
+    if moving is None:
+        return 0
+    return int(moving.motions.of_target[body])
+
+
+@inlined
+def mover_of_medium(moving: Any, number: int) -> int:
+    """Return the mover of a medium.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    number : int
+        Row of `Volumes`.
+    """
+    if moving is None:
+        return 0
+    return int(moving.motions.of_medium[number])
+
+
+@inlined
+def movers(moving: Any) -> int:
+    """Return the number of movers; `moving` : Moving or None."""
+    if moving is None:
+        return 1
+    return len(moving.motions.first) - 1
 
 
 @inlined
@@ -116,6 +152,57 @@ def enter_mover(moving: Any, packet: Any, mover: int) -> None:
     packet.dx, packet.dy, packet.dz = direction_between(moving, here, mover, packet.dx, packet.dy, packet.dz)
     packet.frame = OBJECT_FRAME if mover == STILL else MOVING_FRAME + mover
     _hold_frames(moving, mover)
+
+
+@inlined
+def set_rays(moving: Any, packet: Any) -> None:
+    """Note the ray of the packet in hand in the frames of all movers, for `take_ray`.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    packet : PACKET
+        In the object frame, or in that of a mover.
+    """
+    if moving is None:
+        return
+    here = mover_of_frame(packet.frame)
+    for mover in range(len(moving.rays)):
+        ray = moving.rays[mover]
+        ray[0], ray[1], ray[2] = point_between(moving, here, mover, packet.x, packet.y, packet.z)
+        ray[3], ray[4], ray[5] = direction_between(moving, here, mover, packet.dx, packet.dy, packet.dz)
+
+
+@inlined
+def take_ray(moving: Any, packet: Any, mover: int) -> None:
+    """Give the packet in hand its ray in the frame of a mover, from `set_rays`; `hold_frame` follows before an event.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    packet : PACKET
+    mover : int
+    """
+    if moving is None:
+        return
+    ray = moving.rays[mover]
+    packet.x, packet.y, packet.z = ray[0], ray[1], ray[2]
+    packet.dx, packet.dy, packet.dz = ray[3], ray[4], ray[5]
+    packet.frame = OBJECT_FRAME if mover == STILL else MOVING_FRAME + mover
+
+
+@inlined
+def hold_frame(moving: Any, packet: Any) -> None:
+    """Let the frame of the packet in hand stand for the object frame in the table of frames.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    packet : PACKET
+    """
+    if moving is None:
+        return
+    _hold_frames(moving, mover_of_frame(packet.frame))
 
 
 @inlined
@@ -162,6 +249,23 @@ def direction_between(moving: Any, here: int, there: int, x: float, y: float, z:
 
 
 @inlined
+def ray_between(moving: Any, here: int, there: int, ray: Ray) -> Ray:
+    """Return a ray moved as `point_between` does.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    here, there : int
+    ray : Ray
+    """
+    if moving is None:
+        return ray
+    x, y, z = point_between(moving, here, there, ray.x, ray.y, ray.z)
+    dx, dy, dz = direction_between(moving, here, there, ray.dx, ray.dy, ray.dz)
+    return Ray(x, y, z, dx, dy, dz)
+
+
+@inlined
 def _hold_frames(moving: Any, mover: int) -> None:
     """Let the frame of a mover stand for the object frame in the table of frames."""
     if moving.held[0] != mover:
@@ -172,15 +276,13 @@ def _hold_frames(moving: Any, mover: int) -> None:
 @kernel
 def _fill_frames(moving: Any, frames: Array, mover: int) -> None:
     into = moving.frames
-    for here in range(FRAMES):
-        for there in range(FRAMES):
+    for other in (CAMERA_FRAME, WORLD_FRAME):
+        if mover == STILL:
             for i in range(3):
                 for k in range(4):
-                    into[here, there, i, k] = frames[here, there, i, k]
-    if mover == STILL:
-        return
-    for other in range(FRAMES):
-        if other != OBJECT_FRAME:
+                    into[other, OBJECT_FRAME, i, k] = frames[other, OBJECT_FRAME, i, k]
+                    into[OBJECT_FRAME, other, i, k] = frames[OBJECT_FRAME, other, i, k]
+        else:
             _compose(moving.to[mover], frames[other, OBJECT_FRAME], into[other, OBJECT_FRAME])
             _compose(frames[OBJECT_FRAME, other], moving.back[mover], into[OBJECT_FRAME, other])
 

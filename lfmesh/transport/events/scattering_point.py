@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from lfmesh.kernels.decorators import kernel
-from lfmesh.transport.events.bounds import own_ray, span
-from lfmesh.transport.events.volume import HIGH, LOW, Array, Line, Passage, coefficients, pass_through
+from lfmesh.transport.events.bounds import span
+from lfmesh.transport.events.volume import HIGH, LOW, Array, Line, Passage, coefficients, pass_through, ray_in_medium
 from lfmesh.transport.packets.random import uniform
 from lfmesh.transport.tables.volumes import Volumes
 
@@ -57,7 +57,7 @@ def scattering_point(volumes: Volumes, line: Line, passage: Passage, key: np.uin
     # Optical depth up to the point, exact in a cell by Gauss's quadrature, and the coefficients there.
     total, before = 0.0, 0.0
     for number in range(len(volumes.rows)):
-        ray = own_ray(volumes.rows[number], line.ray)
+        ray = ray_in_medium(volumes, number, line)
         first, last, _ = span(volumes.shells, volumes.rows[number], ray, middle)
         if volumes.rows[number].inside != line.place or not first <= middle <= last:
             continue
@@ -115,6 +115,6 @@ def _scattering_at(volumes: Volumes, line: Line, number: int, t: float, middle: 
     row = volumes.rows[number]
     if row.inside != line.place:
         return 0.0
-    ray = own_ray(row, line.ray)
+    ray = ray_in_medium(volumes, number, line)
     first, last, _ = span(volumes.shells, row, ray, middle)
     return coefficients(volumes, number, line.colour, t, middle, ray)[1] if first <= middle <= last else 0.0

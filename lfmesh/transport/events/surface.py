@@ -9,9 +9,12 @@ from lfmesh.geometry.objects.round_faces import place_in_picture, point_at, roun
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.bending import squared_index_ratio
 from lfmesh.transport.events.facets import barycentric
+from lfmesh.transport.events.moving import point_between
 from lfmesh.transport.events.scattering import Point, emissivity, is_hot
 from lfmesh.transport.packets.children import EMITTED
+from lfmesh.transport.packets.packet import mover_of_frame
 from lfmesh.transport.packets.random import derived, uniform
+from lfmesh.transport.tables.motions import STILL
 from lfmesh.transport.tables.tables import AIR, BY_ALPHA, ObjectTables
 from lfmesh.transport.tables.varied_gloss import drawn_model
 
@@ -294,7 +297,7 @@ def opacity_at(objects: ObjectTables, prim: int, x: float, y: float, z: float) -
 
 @inlined
 def emitted_radiance(
-    objects: ObjectTables, packet: Any, point: Point, ox: float, oy: float, oz: float
+    objects: ObjectTables, packet: Any, point: Point, ox: float, oy: float, oz: float, moving: Any
 ) -> float:  # fmt: skip
     """Return the radiance emitted by a point into the packet's medium, scaled for the packet's weight, W/(m² sr).
 
@@ -305,6 +308,7 @@ def emitted_radiance(
     point : Point
     ox, oy, oz : float
         Unit direction away from the surface.
+    moving : Moving or None
     """
     radiance = objects.radiance[objects.facets[point.prim].body, packet.colour]
     if radiance <= 0.0:
@@ -316,4 +320,5 @@ def emitted_radiance(
     radiance /= index * index
     if hot:
         return radiance * emissivity(objects.scattering, source, packet.colour, ox, oy, oz)
-    return radiance * point.texel / squared_index_ratio(objects.fields, packet, point.x, point.y, point.z)
+    x, y, z = point_between(moving, mover_of_frame(packet.frame), STILL, point.x, point.y, point.z)
+    return radiance * point.texel / squared_index_ratio(objects.fields, packet, x, y, z)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.ray import Ray as Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.bounds import cell_end, own_ray, span
+from lfmesh.transport.events.moving import mover_of_medium, ray_between
 from lfmesh.transport.packets.book import LOST_OUTSIDE, LOST_STUCK
 from lfmesh.transport.packets.random import uniform
 from lfmesh.transport.tables.volumes import BY_TEMPERATURE, OF_BODY, OF_VOXELS, Volumes
@@ -85,16 +86,36 @@ class Line(NamedTuple):
     Attributes
     ----------
     ray : Ray
-        In the object frame.
+        In the frame of the mover.
     place : int
         Rank of the body of glass or liquid around it; 0: air.
     colour : int
         Number of the wavelength.
+    moving : Moving or None
+    mover : int
+        Mover in whose frame the ray is given; 0: the object frame.
     """
 
     ray: Ray
     place: int
     colour: int
+    moving: Any
+    mover: int
+
+
+@inlined
+def ray_in_medium(volumes: Volumes, number: int, line: Line) -> Ray:
+    """Return the ray of a line in a medium's own frame.
+
+    Parameters
+    ----------
+    volumes : Volumes
+    number : int
+        Row of the medium.
+    line : Line
+    """
+    ray = ray_between(line.moving, line.mover, mover_of_medium(line.moving, number), line.ray)
+    return own_ray(volumes.rows[number], ray)
 
 
 class Step(NamedTuple):
@@ -232,7 +253,7 @@ def pass_through(
             if rows[number].inside != line.place:
                 continue
             if number != known or holds <= t:
-                known, ray = number, own_ray(rows[number], line.ray)
+                known, ray = number, ray_in_medium(volumes, number, line)
                 first, last, holds = span(volumes.shells, rows[number], ray, t)
             until = min(until, holds)
             if last <= t or first >= last:
@@ -261,7 +282,7 @@ def pass_through(
                 if rows[number].inside != line.place or (active == 1 and number != only):
                     continue
                 if number != known:
-                    known, ray = number, own_ray(rows[number], line.ray)
+                    known, ray = number, ray_in_medium(volumes, number, line)
                     first, last, holds = span(volumes.shells, rows[number], ray, t)
                 if not (first <= t and last >= until and first < last):
                     continue
@@ -349,7 +370,7 @@ def _absorbed_in(volumes: Volumes, line: Line, number: int, step: Step) -> tuple
     row = volumes.rows[number]
     if row.inside != line.place:
         return False, 0.0
-    ray = own_ray(row, line.ray)
+    ray = ray_in_medium(volumes, number, line)
     first, last, _ = span(volumes.shells, row, ray, step.middle)
     if not (first <= step.begin and last >= step.end and first < last):
         return False, 0.0

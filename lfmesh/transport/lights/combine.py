@@ -52,6 +52,7 @@ from lfmesh.transport.packets.packet import (
     Flow,
     Options,
     count_event,
+    mover_of_frame,
     put,
 )
 from lfmesh.transport.packets.random import derived, uniform
@@ -269,7 +270,7 @@ def _ask(space: ObjectSpace, packet: Any, way: Way, key: np.uint64) -> None:
     scattered, by_chance, clear = _scattered_along(space.objects.volumes, space, packet, way.ray)
     value = way.value
     if scattered > 0.0 and way.light == TO_FACET:
-        value = radiance_of_facet(space.objects, packet, way)
+        value = radiance_of_facet(space.objects, packet, way, space.flow.moving)
     weight = packet.weight * scattered * value / (way.density + by_chance)
     if weight > 0.0:
         shadow = send(space.flow, packet, way, weight, key, clear)
@@ -356,7 +357,8 @@ def _along_media(volumes: Any, objects: ObjectTables, flow: Flow, packet: Any, r
     """Return the light of a shadow packet through media, and from them; `volumes` : Volumes or None."""
     if volumes is None:
         return packet.weight
-    line = Line(ray_of(packet), bodies_round(packet) & RANK, packet.colour)
+    place, mover = bodies_round(packet) & RANK, mover_of_frame(packet.frame)
+    line = Line(ray_of(packet), place, packet.colour, flow.moving, mover)
     key = derived(packet.key, IN_MEDIUM + packet.events)
     passage = pass_through(volumes, line, reach, flow.book, 0.0, key)
     if packet.light == TO_MEDIA:

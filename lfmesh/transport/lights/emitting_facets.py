@@ -105,7 +105,7 @@ def density(objects: ObjectTables, packet: Any, prim: int, x: float, y: float, z
 
 
 @inlined
-def radiance(objects: ObjectTables, packet: Any, way: Way) -> float:
+def radiance(objects: ObjectTables, packet: Any, way: Way, moving: Any) -> float:
     """Return the radiance of the facet at the end of a way, scaled for the packet's weight, W/(m² sr).
 
     Parameters
@@ -115,12 +115,13 @@ def radiance(objects: ObjectTables, packet: Any, way: Way) -> float:
         At the start of the way.
     way : Way
         From `sample`.
+    moving : Moving or None
     """
     ray, place = way.ray, along(way.ray, way.reach)
     nx, ny, nz = outward(objects, way.goal, place[0], place[1], place[2])
     side = -1.0 if nx * ray.dx + ny * ray.dy + nz * ray.dz > 0.0 else 1.0
     there = point_of(objects, packet, way.goal, place, side, True)
-    return emitted_radiance(objects, packet, there, -ray.dx, -ray.dy, -ray.dz)
+    return emitted_radiance(objects, packet, there, -ray.dx, -ray.dy, -ray.dz, moving)
 
 
 @inlined

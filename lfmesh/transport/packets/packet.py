@@ -362,12 +362,19 @@ class Options(NamedTuple):
     importance: bool  # weights are importance, which thin lenses change, not power
     pixels: PixelSamples = PixelSamples()
     stream: np.uint64 = np.uint64(0)  # key of a replicate at a wavelength, for the times of its packets
+    still: bool = False  # all packets have the time of the scene as given, t = 0
 
 
 @inlined
 def mover_of_frame(frame: int) -> int:
     """Return the mover in whose frame a packet is, from its `frame`; 0 in the object frame and in the camera."""
     return max(frame - MOVING_FRAME, 0)
+
+
+@inlined
+def frame_in_table(frame: int) -> int:
+    """Return the place of a packet's frame in the table of frames, where that of its mover is the object frame."""
+    return OBJECT_FRAME if frame > MOVING_FRAME else frame
 
 
 @inlined

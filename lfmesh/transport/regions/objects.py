@@ -1,6 +1,7 @@
 """Object space: hits on targets, glass and housing, shadow packets, and entry into the lens.
 
-Everything is in the object frame, and both methods share the kernel. `targets` holds the scattering on targets.
+Everything is in the object frame or, at things that move, in the frame of their mover (`events.moving`), and both
+methods share the kernel. `first_hit` finds what a packet meets, and `targets` holds the scattering on targets.
 """
 
 from typing import Any
@@ -10,15 +11,13 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.meshes.boxes import box_entry
-from lfmesh.geometry.meshes.patch_tree import patch_finder
-from lfmesh.geometry.objects.round_faces import round_finder, round_normal
-from lfmesh.geometry.ray import Ray, ray_of
-from lfmesh.geometry.ray import along as point_along
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.bending import bends_before, next_chord, straight_mm
-from lfmesh.transport.events.bodies import RANK, bodies_round, is_in
+from lfmesh.transport.events.bodies import RANK, bodies_round
 from lfmesh.transport.events.crossing import MAX_TRIES, end, end_here, lose, move_packet, requery, too_deep, write_query
-from lfmesh.transport.events.facets import clear_of, crosses, next_query_from
+from lfmesh.transport.events.facets import clear_of, next_query_from
+from lfmesh.transport.events.moving import begin, enter_mover, hold_frame, set_rays, take_ray
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.travel import travel
 from lfmesh.transport.lights.combine import bring_light
@@ -38,6 +37,7 @@ from lfmesh.transport.packets.packet import (
     LEFT_LENS,
     LEFT_MEDIUM,
     LENS,
+    MOVING_FRAME,
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
@@ -53,13 +53,24 @@ from lfmesh.transport.packets.packet import (
     Flow,
     Options,
     keep_chord,
+    mover_of_frame,
     put,
 )
 from lfmesh.transport.paths.automaton import LAMP_ON_CAMERA, counts
 from lfmesh.transport.regions.fields import begin_in_field, is_shared, take_share, to_chord_end
-from lfmesh.transport.regions.glass import Curved, through_glass
+from lfmesh.transport.regions.first_hit import (
+    certain_hit,
+    comes_out_ahead,
+    first_hit,
+    in_its_medium,
+    is_in_contact,
+    is_sheer,
+    might_have_met,
+)
+from lfmesh.transport.regions.glass import through_glass
 from lfmesh.transport.regions.targets import meet_target, passes, share_with_other
 from lfmesh.transport.regions.volumes import Met, is_stopped_by_media, way_through_media
+from lfmesh.transport.tables.motions import FAR, STILL
 from lfmesh.transport.tables.tables import OPAQUE, LensTables, ObjectTables
 
 Array = NDArray[np.float64]
@@ -67,23 +78,86 @@ Array = NDArray[np.float64]
 
 @kernel
 def admit_to_objects(
-    wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], frames: Array, fields: Any
-) -> None:
-    """Write the rays of a wave for Embree, in the object frame.
+    wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], frames: Array, fields: Any,
+    options: Options, moving: Any,
+) -> None:  # fmt: skip
+    """Write the rays of a wave for Embree, in the object frame; in a scene with motion, in the frame of each mover.
 
     Parameters
     ----------
     wave : (n,) PACKET
     origins, directions : (n, 3) float32
-        Output.
+        Output, in the object frame.
     frames : (6, 6, 3, 4) float64
     fields : BendingFields or None
         Media that bend light; each packet is turned along its chord.
+    options : Options
+    moving : Moving or None
+        Receives the queries for movers that packets pass near.
     """
+    _begin_queries(moving)
     for i in range(len(wave)):
-        move_packet(frames, wave[i], OBJECT_FRAME)
+        begin(moving, options, wave[i])
+        _move_to_objects(moving, fields, frames, wave[i])
         next_chord(fields, wave[i])
-        write_query(origins, directions, i, wave[i], 0.0, 0.0)
+        _write_moved(moving, origins, directions, i, wave[i])
+        if moving is None:
+            write_query(origins, directions, i, wave[i], 0.0, 0.0)
+
+
+@inlined
+def _begin_queries(moving: Any) -> None:
+    """Clear the queries of movers; `moving` : Moving or None."""
+    if moving is None:
+        return
+    for mover in range(len(moving.queried)):
+        moving.queried[mover] = 0
+
+
+@inlined
+def _move_to_objects(moving: Any, fields: Any, frames: Array, packet: Any) -> None:
+    """Move a packet into the object frame, unless it is in the frame of a mover; fields stand still."""
+    if fields is not None:
+        enter_mover(moving, packet, STILL)
+    if packet.frame <= MOVING_FRAME:
+        move_packet(frames, packet, OBJECT_FRAME)
+
+
+@inlined
+def _write_moved(
+    moving: Any, origins: NDArray[np.float32], directions: NDArray[np.float32], i: int, packet: Any
+) -> None:  # fmt: skip
+    """Write the rays of a packet in the frames of the movers that it passes near; `moving` : Moving or None."""
+    if moving is None:
+        return
+    here = mover_of_frame(packet.frame)
+    set_rays(moving, packet)
+    for mover in range(len(moving.rays)):
+        if mover != STILL and not _passes_near(moving, mover):
+            moving.found[mover, i] = FAR
+            continue
+        take_ray(moving, packet, mover)
+        if mover == STILL:
+            write_query(origins, directions, i, packet, 0.0, 0.0)
+            continue
+        number = moving.queried[mover]
+        write_query(moving.origins[mover], moving.directions[mover], number, packet, 0.0, 0.0)
+        moving.packet[mover, number] = i
+        moving.queried[mover] = number + 1
+    take_ray(moving, packet, here)
+
+
+@inlined
+def _passes_near(moving: Any, mover: int) -> bool:
+    """Tell whether the ray in hand passes the sphere round the targets of a mover."""
+    (x, y, z, radius), ray = moving.motions.bounds[mover], moving.rays[mover]
+    px, py, pz = x - ray[0], y - ray[1], z - ray[2]
+    dx, dy, dz = ray[3], ray[4], ray[5]
+    if radius <= 0.0 or px * dx + py * dy + pz * dz < -radius:
+        return False
+    # The cross product loses no digits far away.
+    cx, cy, cz = py * dz - pz * dy, pz * dx - px * dz, px * dy - py * dx
+    return bool(cx * cx + cy * cy + cz * cz <= radius * radius)
 
 
 @kernel
@@ -96,7 +170,7 @@ def shade_objects(
     ----------
     wave : (n,) PACKET
     found : (n,) int32
-        Facets found by Embree; −1: none.
+        Facets found by Embree among those at rest relative to the camera; −1: none.
     lens : LensTables
     space : ObjectSpace
     """
@@ -104,54 +178,43 @@ def shade_objects(
     facets = objects.facets
     for i in range(len(wave)):
         packet = wave[i]
+        begin(flow.moving, options, packet)
         begin_in_field(objects.fields, options, packet)
-        x, y, z = packet.x, packet.y, packet.z
-        dx, dy, dz = packet.dx, packet.dy, packet.dz
-        prim = found[i]
-        t, along = np.inf, 0.0
-        facet = facets[max(prim, 0)]
-        if prim >= 0:
-            normal = facet.normal
-            along = normal[0] * dx + normal[1] * dy + normal[2] * dz
-            height = normal[0] * x + normal[1] * y + normal[2] * z - facet.offset
-            t = -height / along if along != 0.0 else -np.inf
-            # A hit closer than the start of the query is on the facet that the packet left, or on one in its plane.
-            if prim == packet.facet or t <= 0.25 * packet.query_from or t <= 0.0:
-                if abs(packet.tries) < MAX_TRIES:
-                    again = next_query_from(facet, packet, t if t > 0.0 else 0.0)
-                    requery(options, flow, frames, OBJECTS, packet, again, False, LOST_OUTSIDE)
-                    continue
-                prim, t, along = _first_crossing(objects, packet)
-                facet = facets[max(prim, 0)]
-        prim, t, along, curved = _first_of_all(objects, packet, prim, t, along)
-        facet = facets[max(prim, 0)]
-        if prim < 0 and packet.tries == 0 and _might_have_met(objects, packet):
+        here = mover_of_frame(packet.frame)
+        hit, again = first_hit(flow.moving, objects, packet, found, i)
+        if again < np.inf:
+            requery(options, flow, frames, OBJECTS, packet, again, False, LOST_OUTSIDE)
+            continue
+        if hit.prim < 0 and packet.tries == 0 and might_have_met(flow.moving, objects, packet):
             # Embree misses a ray aimed exactly at a vertex.
             requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
-        if packet.kind != SHADOW and curved[0] < 0 and not _in_its_medium(objects, packet, prim, t, along):
-            if prim >= 0 and abs(packet.tries) < MAX_TRIES and _is_in_contact(objects.glass, prim):
+        if packet.kind != SHADOW and hit.curved[0] < 0 and not in_its_medium(flow.moving, objects, packet, hit):
+            if hit.prim >= 0 and abs(packet.tries) < MAX_TRIES and is_in_contact(objects.glass, hit.prim):
                 # By rounding, a face of a body already entered or left at its contact with another body.
-                requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
+                again = next_query_from(facets[hit.prim], packet, hit.t)
+                take_ray(flow.moving, packet, here)
+                requery(options, flow, frames, OBJECTS, packet, again, False, LOST_OUTSIDE)
                 continue
             # The query started beyond a facet, near an edge of the body, or missed the body at a vertex.
             flow.counts[REQUERIES] += 1
             inside = bodies_round(packet)
-            body = objects.by_rank[inside & RANK] if inside != 0 else facet.body
-            prim, t, along = _first_crossing(objects, packet)
-            prim, t, along, curved = _first_of_all(objects, packet, prim, t, along)
-            if prim < 0 and (packet.bodies >= 0 or _comes_out_ahead(objects, packet)):
+            body = objects.by_rank[inside & RANK] if inside != 0 else facets[max(hit.prim, 0)].body
+            hit = certain_hit(flow.moving, objects, packet)
+            if hit.prim < 0 and (packet.bodies >= 0 or comes_out_ahead(flow.moving, objects, packet)):
                 if packet.facet == LEFT_MEDIUM:
                     # Emitted from a point of a medium that glass displaces.
                     flow.book[SAMPLING_REMOVED] += packet.weight
                     continue
                 lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
                 continue
-            facet = facets[max(prim, 0)]
+        prim, t, along, curved = hit
+        facet = facets[max(prim, 0)]
         if _bends_first(objects.fields, frames, lens, options, packet, t):
+            _take_ray_into(flow.moving, packet, STILL)
             to_chord_end(objects.fields, space, packet)
             continue
-        if prim >= 0 and _is_sheer(objects, facet.body) and passes(objects, packet, prim, t, along):
+        if prim >= 0 and is_sheer(objects, facet.body) and passes(objects, packet, prim, t, along):
             _pass_on(options, flow, frames, objects, packet, prim, t)
             continue
         met = Met(prim, t, curved[0] >= 0)
@@ -172,6 +235,8 @@ def shade_objects(
                 unaimed = packet.kind == SPECULAR or packet.kind == LAMP
                 by_itself = unaimed or (packet.kind == SCATTERED and not options.aimed)
                 if options.adjoint or packet.kind == CAMERA or by_itself:
+                    _take_ray_into(flow.moving, packet, STILL)
+                    x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
                     child = put(flow, LENS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
                     if packet.kind != LAMP:
                         child.kind = CAMERA
@@ -204,7 +269,7 @@ def shade_objects(
                 through_glass(objects.glass, space, packet, prim, t, curved)
             continue
         x, y, z = travel(flow, objects.media, packet, packet.medium, t)
-        weight = packet.weight
+        dx, dy, dz, weight = packet.dx, packet.dy, packet.dz, packet.weight
         slot = HOUSING if body < 0 else objects.target_slot[body]
         if body < 0 or options.tracing:
             status = S_ABSORBED if body < 0 else S_TARGET
@@ -220,121 +285,10 @@ def shade_objects(
 
 
 @inlined
-def _first_of_all(
-    objects: ObjectTables, packet: Any, prim: int, t: float, along: float
-) -> tuple[int, float, float, Curved]:
-    """Return the first hit of a packet: a facet already found, or a curved patch or round face before it.
-
-    Parameters
-    ----------
-    prim : int
-        Facet; −1: none.
-    t : float, mm
-        Distance of the facet; limits the search if it lies ahead.
-    along : float
-        The facet's normal · direction.
-
-    Returns
-    -------
-    prim, t, along
-        The first hit.
-    curved : tuple
-        As from `_first_curved`, also for a round face of glass.
-    """
-    curved = _first_curved(objects.glass, objects, packet, t if t > 0.0 else np.inf)
-    if curved[0] >= 0:
-        prim, t, along = _as_met(curved, packet.dx, packet.dy, packet.dz)
-    return _round_before(objects.rounds, objects, packet, prim, t, along, curved)
-
-
-@inlined
-def _sense_at(state: Any, body: int) -> float:
-    """Return the side from which a packet meets the patches of a body, by the bodies around it."""
-    inside, rank = state
-    return 1.0 if is_in(inside, rank[body]) else -1.0
-
-
-_first_patch = patch_finder(_sense_at)
-
-
-@inlined
-def _first_curved(glass: Any, objects: ObjectTables, packet: Any, until: float) -> Curved:
-    """Return the first curved patch of glass that a packet meets within a distance, even if it misses all facets.
-
-    Parameters
-    ----------
-    glass : GlassTables or None
-        None: there is no glass, and numba compiles only the first line.
-
-    Returns
-    -------
-    prim : int
-        Facet of the patch; −1: none.
-    t : float, mm
-    nx, ny, nz : float
-        Unit normal of the patch, oriented like its facet's.
-    """
-    if glass is None:
-        return -1, until, 0.0, 0.0, 1.0
-    if packet.kind == SHADOW:
-        until = min(until, packet.limit)
-    state = bodies_round(packet), objects.rank
-    return _first_patch(glass.tree, state, ray_of(packet), 0.0, until)
-
-
-@inlined
-def _is_met(state: Any, number: int, t: float, along: float) -> bool:
-    """Tell whether a round face stops a packet: glass by the bodies around the packet, transparent targets by chance.
-
-    `state` holds ObjectTables and PACKET; see `round_finder`.
-    """
-    objects, packet = state
-    prim = objects.rounds.first + number
-    body = objects.facets[prim].body
-    if objects.medium[body] != OPAQUE:
-        return (along > 0.0) == is_in(bodies_round(packet), objects.rank[body])
-    return not (_is_sheer(objects, body) and passes(objects, packet, prim, t, along))
-
-
-_first_round = round_finder(_is_met)
-
-
-@inlined
-def _round_before(
-    rounds: Any, objects: ObjectTables, packet: Any, prim: int, t: float, along: float, curved: Curved
-) -> tuple[int, float, float, Curved]:
-    """Return the result of `_first_of_all` from the first hit on a facet or curved patch.
-
-    `rounds` is None if there are no round faces; numba then compiles only the first line.
-    """
-    if rounds is None:
-        return prim, t, along, curved
-    until = t if t > 0.0 else np.inf
-    if packet.kind == SHADOW and packet.light == TO_LAMP:
-        # A way to an emitting facet extends to the facet itself.
-        until = min(until, packet.limit)
-    ray = ray_of(packet)
-    number, nearest, steepness = _first_round(rounds, (objects, packet), ray, packet.facet - rounds.first, until)
-    if number < 0:
-        return prim, t, along, curved
-    found = rounds.first + number
-    if objects.medium[objects.facets[found].body] == OPAQUE:
-        return found, nearest, steepness, (-1, nearest, 0.0, 0.0, 1.0)
-    x, y, z = point_along(ray, nearest)
-    nx, ny, nz = round_normal(rounds.faces[number], x, y, z)
-    return found, nearest, steepness, (found, nearest, nx, ny, nz)
-
-
-@inlined
-def _as_met(curved: Curved, dx: float, dy: float, dz: float) -> tuple[int, float, float]:
-    """Return the facet of a patch, the distance of the patch, and normal · direction there."""
-    return curved[0], curved[1], curved[2] * dx + curved[3] * dy + curved[4] * dz
-
-
-@inlined
-def _is_sheer(objects: ObjectTables, body: int) -> bool:
-    """Tell whether light may pass straight through a target that is not glass."""
-    return body >= 0 and objects.opacity[body] < 1.0
+def _take_ray_into(moving: Any, packet: Any, mover: int) -> None:
+    """Give the packet in hand its ray in the frame of a mover, and let that stand for the object frame."""
+    take_ray(moving, packet, mover)
+    hold_frame(moving, packet)
 
 
 @kernel
@@ -403,81 +357,3 @@ def _bends_first(
     if packet.last == LEFT_LENS or (packet.kind == LAMP and options.paths != LAMP_ON_CAMERA):
         return True
     return not _enters_lens(frames, lens, packet, straight_mm(fields, packet))
-
-
-@inlined
-def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, t: float, along: float) -> bool:
-    """Tell whether a packet can meet a facet from that side, or nothing (−1), by the bodies around it."""
-    if prim < 0:
-        return packet.bodies < 0
-    body = objects.facets[prim].body
-    if body >= 0 and objects.medium[body] != OPAQUE:
-        return (along > 0.0) == is_in(bodies_round(packet), objects.rank[body])
-    return packet.bodies < 0 or not _is_outside(objects.glass, objects, packet, t)
-
-
-@inlined
-def _is_outside(glass: Any, objects: ObjectTables, packet: Any, t: float) -> bool:
-    """Tell whether a packet in a body of glass would have left the body's box at a distance."""
-    if glass is None:
-        return False
-    low, high = glass.boxes[objects.by_rank[bodies_round(packet) & RANK]]
-    x, y, z = packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
-    return not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2])
-
-
-@inlined
-def _is_in_contact(glass: Any, prim: int) -> bool:
-    """Tell whether a facet may lie on a facet of another body of glass."""
-    if glass is None:
-        return False
-    return len(glass.contact_first) > 0 and glass.contact_first[prim + 1] > glass.contact_first[prim]
-
-
-@inlined
-def _might_have_met(objects: ObjectTables, packet: Any) -> bool:
-    """Tell whether a packet outside all glass that met nothing starts far away and passes near the targets."""
-    if packet.kind == SHADOW or packet.bodies >= 0:
-        return False
-    x, y, z, dx, dy, dz = ray_of(packet)
-    toward = -(x * dx + y * dy + z * dz)
-    distance2, radius2 = x * x + y * y + z * z, objects.radius * objects.radius
-    return toward > 0.0 and distance2 > radius2 and distance2 - toward * toward <= radius2
-
-
-@kernel
-def _first_crossing(objects: ObjectTables, packet: Any) -> tuple[int, float, float]:
-    """Return the first facet that a packet can meet, its distance, and normal · direction; −1: none.
-
-    All facets are tested in float64: slow but certain. The facet just left faces the wrong way for the packet's medium,
-    so no distance from the start is needed; the start on a curved patch may even lie slightly beyond the next facet.
-    """
-    x, y, z, dx, dy, dz = ray_of(packet)
-    first, nearest, steepness = -1, np.inf, 0.0
-    # `limit` is the distance of the light for a shadow packet, the way past the lens for a packet from the lens.
-    back = 0.0 if packet.kind == SHADOW or packet.last == LEFT_LENS else packet.limit
-    for prim in range(len(objects.facets)):
-        t, along = crosses(objects.facets[prim], x, y, z, dx, dy, dz)
-        if t < nearest and t > -back and prim != packet.facet:
-            body = objects.facets[prim].body
-            glass = body >= 0 and objects.medium[body] != OPAQUE
-            if (glass or t > 0.0) and _in_its_medium(objects, packet, prim, t, along):
-                if _is_sheer(objects, body) and passes(objects, packet, prim, t, along):
-                    continue
-                first, nearest, steepness = prim, t, along
-    return first, nearest, steepness
-
-
-@kernel
-def _comes_out_ahead(objects: ObjectTables, packet: Any) -> bool:
-    """Tell whether a packet in no body would leave a body ahead, and so must have entered it unnoticed.
-
-    Otherwise nothing lies ahead: the ray passes the edge of the facet that Embree found.
-    """
-    x, y, z, dx, dy, dz = ray_of(packet)
-    for prim in range(len(objects.facets)):
-        t, along = crosses(objects.facets[prim], x, y, z, dx, dy, dz)
-        body = objects.facets[prim].body
-        if along > 0.0 and packet.limit < t < np.inf and body >= 0 and objects.medium[body] != OPAQUE:
-            return True
-    return False

@@ -16,8 +16,17 @@ from lfmesh.transport.events.crossing import (
     thinned,
     too_deep,
 )
+from lfmesh.transport.events.exposure import share_of_time
+from lfmesh.transport.events.moving import begin
 from lfmesh.transport.events.polarisation import through_polariser
-from lfmesh.transport.packets.book import BESIDE_SENSOR, HOUSING, ON_SENSOR, SAMPLING_REMOVED, UNFOLLOWED
+from lfmesh.transport.packets.book import (
+    BESIDE_SENSOR,
+    HOUSING,
+    ON_SENSOR,
+    SAMPLING_ADDED,
+    SAMPLING_REMOVED,
+    UNFOLLOWED,
+)
 from lfmesh.transport.packets.packet import (
     BY_ORDER,
     E_REFLECTED,
@@ -64,7 +73,7 @@ def onto_sensor(
         pixel, x, y = _pixel_met(packet, sensor)
         if pixel != NOWHERE:
             packet.weight = through_polariser(flow.polarised, packet, packet.weight, SENSOR_FRAME, frames, flow.book)
-        _end_on(pixel, x, y, packet.weight, packet, frames, options, flow)
+        _end_on(pixel, x, y, packet.weight, packet, sensor, frames, options, flow)
 
 
 @kernel
@@ -109,7 +118,7 @@ def onto_pixel(
     """
     pixel, x, y = _pixel_met(packet, sensor)
     if pixel < 0 or sensor.reflectance == 0.0:
-        _end_on(pixel, x, y, packet.weight, packet, frames, options, flow)
+        _end_on(pixel, x, y, packet.weight, packet, sensor, frames, options, flow)
         return
     if too_deep(options, flow, frames, packet):
         return
@@ -122,7 +131,7 @@ def onto_pixel(
         reflected, detected = split_shares(options, flow.book, packet, sensor.reflectance, 1.0 - sensor.reflectance)
     count_event(packet)
     if detected > 0.0:
-        _end_on(pixel, x, y, detected, packet, frames, options, flow)
+        _end_on(pixel, x, y, detected, packet, sensor, frames, options, flow)
     if reflected > 0.0:
         if options.record:
             packet.node = record(
@@ -161,8 +170,8 @@ def _pixel_met(packet: Any, sensor: SensorTables) -> tuple[int, float, float]:
 
 @inlined
 def _end_on(
-    pixel: int, x: float, y: float, weight: float, packet: Any, frames: NDArray[np.float64], options: Options,
-    flow: Flow,
+    pixel: int, x: float, y: float, weight: float, packet: Any, sensor: SensorTables, frames: NDArray[np.float64],
+    options: Options, flow: Flow,
 ) -> None:  # fmt: skip
     """End a packet on a pixel, beside the sensor or, if it misses the sensor's plane, at its present place."""
     if pixel == NOWHERE:
@@ -174,5 +183,25 @@ def _end_on(
         return
     slot, status = (ON_SENSOR, S_SENSOR) if pixel >= 0 else (BESIDE_SENSOR, S_ABSORBED)
     if pixel >= 0 and not options.adjoint and not options.tracing:
+        weight, is_seen = _seen_by_row(flow.moving, options, flow.book, packet, pixel // sensor.columns, weight)
+        if not is_seen:
+            return
         deposit(options, flow, pixel, packet.colour, weight)
     end(options, flow, frames, packet, SENSOR_FRAME, x, y, 0.0, packet.dx, packet.dy, packet.dz, weight, slot, status)
+
+
+@inlined
+def _seen_by_row(
+    moving: Any, options: Options, book: NDArray[np.float64], packet: Any, row: int, weight: float
+) -> tuple[float, bool]:  # fmt: skip
+    """Return the weight of a packet in the mean over the window of a row of pixels, and whether the window sees it.
+
+    `moving` is None in a scene without motion; numba then compiles only the first line.
+    """
+    if moving is None:
+        return weight, True
+    begin(moving, options, packet)
+    seen = weight * share_of_time(moving.motions, row, moving.time_s[0])
+    book[SAMPLING_ADDED] += max(seen - weight, 0.0)
+    book[SAMPLING_REMOVED] += max(weight - seen, 0.0)
+    return seen, seen > 0.0

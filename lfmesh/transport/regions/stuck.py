@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import lose
+from lfmesh.transport.events.moving import begin
 from lfmesh.transport.packets.book import LOST_AT_SENSOR, LOST_IN_MLA, LOST_OUTSIDE, LOST_STUCK
 from lfmesh.transport.packets.packet import (
     BACK_FRAME,
@@ -36,6 +37,7 @@ def lose_stuck(
     """
     for i in range(len(wave)):
         packet = wave[i]
+        begin(flow.moving, options, packet)
         if packet.kind != SHADOW:
             lose(options, flow, frames, packet, LOST_STUCK, _body_of(packet, lost_in_lens))
 

@@ -145,7 +145,7 @@ def _gather(space: ObjectSpace, packet: Any, point: Point, scatters: bool) -> No
     """Deposit the light that a target emits towards the packet, and sample lights for the target to scatter."""
     options, flow, objects = space.options, space.flow, space.objects
     flow.book[REACHED] += packet.weight
-    radiance = emitted_radiance(objects, packet, point, -packet.dx, -packet.dy, -packet.dz)
+    radiance = emitted_radiance(objects, packet, point, -packet.dx, -packet.dy, -packet.dz, flow.moving)
     lit = radiance > 0.0
     if lit:
         share = 1.0

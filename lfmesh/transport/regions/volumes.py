@@ -47,6 +47,7 @@ from lfmesh.transport.packets.packet import (
     SCATTERED,
     Flow,
     count_event,
+    mover_of_frame,
     put,
 )
 from lfmesh.transport.packets.random import derived, uniform
@@ -168,7 +169,7 @@ def cross_media(space: ObjectSpace, packet: Any, reach: float) -> None:
     """
     options, flow, frames, objects = space.options, space.flow, space.frames, space.objects
     volumes, colour, weight = objects.volumes, packet.colour, packet.weight
-    line = Line(ray_of(packet), bodies_round(packet) & RANK, colour)
+    line = Line(ray_of(packet), bodies_round(packet) & RANK, colour, flow.moving, mover_of_frame(packet.frame))
     key = derived(packet.key, IN_MEDIUM + packet.events)
     passage = pass_through(volumes, line, reach, flow.book, weight, key)
     packet.weight = weight * passage.transmittance

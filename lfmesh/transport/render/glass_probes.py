@@ -187,7 +187,9 @@ def _traced(world: World, packets: NDArray[np.void], regions: list[Region], draw
         volumes=None, media=without_absorption(objects.media), fields=crossed_at_once(objects.fields)
     )  # fmt: skip
     split = TRANSMIT if world.scene.transport.split == "transmit" else ROULETTE
-    options = options_of(world, tracing=True, record=True, split=split, cutoff=0.0)
+    # Their times are those of the exposure.
+    stream = np.uint64(draw.integers(1 << 62))
+    options = options_of(world, tracing=True, record=True, split=split, cutoff=0.0, still=False, stream=stream)
     work = Workspace(world, options, max(1, len(packets)), world.tables._replace(objects=clear))
     work.begin(None, len(packets))
     work.stacks.queue(OBJECTS, packets)

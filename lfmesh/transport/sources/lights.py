@@ -27,7 +27,16 @@ from lfmesh.transport.events.surface import emission_of, opacity_at, place_on, p
 from lfmesh.transport.events.volume import coefficients
 from lfmesh.transport.lights.media_emitters import drawn_point
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
-from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, put
+from lfmesh.transport.packets.packet import (
+    E_START,
+    LAMP,
+    NO_SURFACE,
+    OBJECT_FRAME,
+    OBJECTS,
+    Flow,
+    mover_of_frame,
+    put,
+)
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.paths.automaton import FROM_LAMP, ON_IMAGE_PATH
 from lfmesh.transport.regions.targets import scatter
@@ -178,7 +187,7 @@ def _from_medium(volumes: Any, space: ObjectSpace, packet: Any, number: int, wei
     if not first <= 0.0 <= last or density <= 0.0:
         return
     if len(objects.by_rank) > 1:
-        inside = bodies_at(objects, x, y, z)
+        inside = bodies_at(objects, flow.moving, mover_of_frame(packet.frame), x, y, z)
         if inside == TOO_MANY or inside & RANK != volumes.rows[number].inside:
             return
         packet.medium = medium_of(objects, inside)
@@ -212,7 +221,7 @@ def _from_facet(space: ObjectSpace, packet: Any, prim: int, weight: float) -> No
     if not objects.one_sided[body] and start(key, SIDE) < 0.5:
         side = -1.0
     weight *= objects.emission_spectra[body, packet.colour] * _enter_bodies(
-        objects.glass, objects, packet, body, x, y, z
+        objects.glass, flow.moving, objects, packet, body, x, y, z
     )
     if objects.opacity[body] < 1.0:
         weight *= opacity_at(objects, prim, x, y, z)
@@ -252,7 +261,7 @@ def _grown_by_temperature(fields: Any, colour: int, x: float, y: float, z: float
 
 @inlined
 def _enter_bodies(
-    glass: Any, objects: ObjectTables, packet: Any, target: int, x: float, y: float, z: float
+    glass: Any, moving: Any, objects: ObjectTables, packet: Any, target: int, x: float, y: float, z: float
 ) -> float:  # fmt: skip
     """Put a packet into the bodies around its start; return its power relative to outside them.
 
@@ -260,6 +269,7 @@ def _enter_bodies(
     ----------
     glass : GlassTables or None
         None: there are no bodies, and numba compiles only the first line.
+    moving : Moving or None
     objects : ObjectTables
     packet : PACKET
     target : int
@@ -274,7 +284,7 @@ def _enter_bodies(
     """
     if glass is None or not glass.emits_inside[target]:
         return 1.0
-    inside = bodies_at(objects, x, y, z)
+    inside = bodies_at(objects, moving, mover_of_frame(packet.frame), x, y, z)
     if inside == TOO_MANY:
         return 0.0
     packet.medium = medium_of(objects, inside)

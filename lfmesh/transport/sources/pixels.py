@@ -138,10 +138,10 @@ class PixelSource(Source):
     def launch(self, work: Workspace, part: range) -> None:
         """Start the samples of some of the pixels."""
         channel = self.nodes.first if self.channel is None else self.channel
-        into = work.options.pixels._replace(channel=channel, samples=self.samples)
+        into = work.options.pixels._replace(channel=channel, samples=self.samples, columns=work.tables.sensor.columns)
         if self.stratified:
             into = into._replace(stream=self.key, each=self.samples, first=self.turn.first, step=self.turn.step)
-        work.options = work.options._replace(pixels=into)
+        work.options = work.options._replace(pixels=into, stream=self.key)
         pixels = self.pixels[part.start : part.stop]
         for colour, entries in entries_of_pixels(self.nodes, pixels, self.samples, self.key, self.turn, self.some):
             self._launch(work, entries, colour)

@@ -14,6 +14,7 @@ from lfmesh.kernels.by_address import by_address
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
+Records = NDArray[np.void]
 
 STILL = 0
 """Number of the mover that stands still relative to the camera."""
@@ -26,11 +27,12 @@ STALE = -1
 class Motions(NamedTuple):
     """Motions of a scene, object frame, and the exposure."""
 
-    segments: NDArray[np.void]  # (n,) SEGMENT of all movers in the world; those of the camera first
+    segments: Records  # (n,) SEGMENT of all movers in the world; those of the camera first
     first: Numbers  # (movers + 1,) first segment of each mover, and the end; mover 0: the motion of the camera
     of_target: Numbers  # (targets + 1,) mover of each target, of glass too; the last: the housing, 0
     of_lamp: Numbers  # (lamps,)
-    of_medium: Numbers  # (rows of `Volumes`,)
+    of_medium: Numbers  # (rows of `Volumes`, or more,)
+    resting: int  # mover of all that rests in the world
     bounds: Array  # (movers, 4) mm: a sphere in the frame of the mover that holds its targets; radius −1: no targets
     begin_s: Array  # (rows of the sensor,) begin of the window of each row of pixels, s
     duration_s: float  # of the window of a row
@@ -53,21 +55,49 @@ class Moving(NamedTuple):
     frames: Array  # (6, 6, 3, 4) in which the frame of the mover `held` stands for the object frame
     held: Numbers  # (1,)
     rays: Array  # (movers, 6) ray of the packet in the frame of each mover
+    # Queries of a wave, for the mesh of each mover from 1 on.
+    origins: NDArray[np.float32]  # (movers, packets, 3)
+    directions: NDArray[np.float32]  # (movers, packets, 3)
+    queried: Numbers  # (movers,) number of queries
+    packet: NDArray[np.int32]  # (movers, packets) packet of each query
+    found: NDArray[np.int32]  # (movers, packets) facet found for each packet; −1: none; FAR: not queried
 
 
-def moving(motions: Motions | None) -> Any:
+FAR = -2
+"""Stands for a facet in `Moving.found` if the ray passes far from all targets of the mover."""
+
+
+def moving(motions: Motions | None, packets: int) -> Any:
     """Return the working memory of a thread; None without motion.
 
     Parameters
     ----------
     motions : Motions or None
+    packets : int
+        Largest number of packets in a wave.
     """
     if motions is None:
         return None
     movers = len(motions.first) - 1
     still = np.repeat(np.eye(3, 4)[None], movers, axis=0)
-    none = np.full(2, np.iinfo(np.uint64).max, np.uint64)
+    queries = np.zeros((movers, packets, 3), np.float32)
+    facets = np.zeros((movers, packets), np.int32)
     return Moving(
-        motions, none, np.zeros(1), still, still.copy(), np.zeros((3, 3, 4)), motions.frames.copy(),
-        np.array([STILL]), np.zeros((movers, 6)),
+        motions, _NOTHING_KNOWN.copy(), np.zeros(1), still, still.copy(), np.zeros((3, 3, 4)), motions.frames.copy(),
+        np.array([STILL]), np.zeros((movers, 6)), queries, queries.copy(), np.zeros(movers, np.int64), facets,
+        facets.copy(),
     )  # fmt: skip
+
+
+_NOTHING_KNOWN = np.full(2, np.iinfo(np.uint64).max, np.uint64)
+
+
+def forget_moment(moving: Any) -> None:
+    """Forget the last packet's time, before packets start whose sources may have the same numbers.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    """
+    if moving is not None:
+        moving.known[:] = _NOTHING_KNOWN

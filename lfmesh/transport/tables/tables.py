@@ -367,6 +367,7 @@ class Tables(NamedTuple):
     # (6, 6, 3, 4) as `frames`, with the sensor where it appears to be through its cover, if it has one: for aiming
     apparent: Any = None
     ghosts: Any = None  # GhostTables if ghosts are estimated by themselves
+    motions: Any = None  # Motions if anything moves during the exposure
 
     @property
     def camera(self) -> Camera:

@@ -120,6 +120,17 @@ def resting() -> NDArray[np.void]:
     return steady((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
+def key_of(motion: NDArray[np.void] | None) -> bytes:
+    """Return bytes that are equal for equal motions; None stands for rest.
+
+    The centre of a body that does not turn has no meaning.
+    """
+    rows = (resting() if motion is None else motion).copy()
+    rows["centre"][rows["rate"] == 0.0] = 0.0
+    rows["begin_s"][0] = 0.0 if not rows["rate"][0] and not rows["velocity"][0].any() else rows["begin_s"][0]
+    return rows.tobytes()
+
+
 def seen_from(camera: NDArray[np.void] | None, motion: NDArray[np.void], time_s: float) -> Array:
     """Return the pose of a body at a time relative to the camera, (3, 4).
 
@@ -169,7 +180,7 @@ def sweep(
     ends = [begin_s, *np.unique(changes[(changes > begin_s) & (changes < end_s)]).tolist(), end_s]
     places, margin = [frame.points(seen_from(camera, motion, begin_s), points)], 0.0
     for first, last in pairwise(ends):
-        body, eye = _segment_at(motion, first), _segment_at(still, first)
+        body, eye = motion[segment_at(motion, first)], still[segment_at(still, first)]
         turn = float(body["rate"] + eye["rate"])
         if turn > 0.0 and not (body["velocity"].any() or eye["velocity"].any() or body["rate"] * eye["rate"]):
             # About one fixed axis; all further turns are the same.
@@ -185,10 +196,9 @@ def sweep(
     return np.array(places), margin
 
 
-def _segment_at(motion: NDArray[np.void], time_s: float) -> np.void:
-    """Return the segment of a motion from a time on."""
-    row: np.void = motion[np.searchsorted(motion["begin_s"][1:], time_s, side="right")]
-    return row
+def segment_at(motion: NDArray[np.void], time_s: float) -> int:
+    """Return the number of the segment of a motion from a time on."""
+    return int(np.searchsorted(motion["begin_s"][1:], time_s, side="right"))
 
 
 def _off_chord(body: np.void, eye: np.void, points: Array, times: Array) -> float:

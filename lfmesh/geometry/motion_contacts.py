@@ -160,7 +160,7 @@ def _first_contact(
             continue
         touches = reach_one + reach_other == 0.0 and (apart <= near or moved <= near)
         if touches:
-            found = min(found, middle)
+            found = min(found, begin if moved <= near else middle)
             if moved <= near:
                 continue
         if not touches:

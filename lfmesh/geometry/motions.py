@@ -5,10 +5,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.objects.tanks import tank_bodies
 from lfmesh.geometry.rigid_motion import steady, through_poses
 from lfmesh.scene import Medium, Scene
+from lfmesh.scene.model import format_path
 from lfmesh.scene.motion import centre_of_spin, is_moving, pose_frames
 
 Segments = NDArray[np.void]
@@ -72,6 +74,27 @@ def motions_of(scene: Scene) -> SceneMotions:
         tuple(map(motion_of, scene.lights)),
         tuple(medium_motion(scene, medium) for medium in scene.media),
     )
+
+
+def refuse_motion(scene: Scene, why: str) -> None:
+    """Refuse scenes in which something moves.
+
+    Parameters
+    ----------
+    scene : Scene
+    why : str
+        Reason, with what is valid.
+
+    Raises
+    ------
+    SceneError
+    """
+    for i, group in enumerate(scene.particles):
+        if group.frame_time_s is not None:
+            raise SceneError(f"particles[{i}].frame_time_s: the particles move; {why}")
+    for where, thing in scene.things_with_motion():
+        if is_moving(thing):
+            raise SceneError(f"{format_path(where)}: {why}")
 
 
 def _relative(frames: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -120,17 +120,6 @@ def resting() -> NDArray[np.void]:
     return steady((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-def key_of(motion: NDArray[np.void] | None) -> bytes:
-    """Return bytes that are equal for equal motions; None stands for rest.
-
-    The centre of a body that does not turn has no meaning.
-    """
-    rows = (resting() if motion is None else motion).copy()
-    rows["centre"][rows["rate"] == 0.0] = 0.0
-    rows["begin_s"][0] = 0.0 if not rows["rate"][0] and not rows["velocity"][0].any() else rows["begin_s"][0]
-    return rows.tobytes()
-
-
 def seen_from(camera: NDArray[np.void] | None, motion: NDArray[np.void], time_s: float) -> Array:
     """Return the pose of a body at a time relative to the camera, (3, 4).
 

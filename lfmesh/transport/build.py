@@ -38,6 +38,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.refused_fields import refuse_untraceable_fields
 from lfmesh.transport.refused_glass import closed_gaps, cut_bodies, refuse_untraceable_glass
+from lfmesh.transport.refused_motion import refuse_untraceable_motion
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.regions.glass_round import places_round
 from lfmesh.transport.regions.seen_lights import with_seen_lights
@@ -213,6 +214,7 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     hulls = hulls_of(targets, objects, moves[WORLD_FRAME, OBJECT_FRAME]) if motions is not None else []
     objects = with_motions(objects, motions, hulls, scene, object_mesh)
     refuse_untraceable_fields(scene, bent, targets, moves, float(lens.box_low[2]))
+    refuse_untraceable_motion(scene, targets, (shape, housing), moves, objects.volumes, bent)
     fields = bending_fields(bent, moves, objects.media.indices[AIR], book.trapped)
     if fields is not None:
         standing = [t.hull.moved(moves[WORLD_FRAME, OBJECT_FRAME]).vertices for t in targets]

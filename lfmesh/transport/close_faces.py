@@ -143,6 +143,11 @@ def refuse_close_faces(scene: Scene, targets: list[TargetMesh], bodies: list[int
                 raise SceneError(_told(scene, i, j, close, reach))
 
 
+def stand_off_mm(target: Target, mesh: Mesh) -> float:
+    """Return a bound on the distance between the facets of a target and its curved faces, mm; 0 if it has none."""
+    return _Face(0, mesh, curved=True).stand_off if _is_curved(target) else 0.0
+
+
 def _is_curved(target: Target) -> bool:
     """Tell whether a target is glass with facets that represent a curved surface."""
     return target.refractor is not None and SURFACE_LEVEL[target.refractor.level] != FLAT

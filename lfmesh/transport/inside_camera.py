@@ -35,10 +35,7 @@ def refuse_objects_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh
     SceneError
         Names the target or lamp and the place.
     """
-    radius = np.hypot(housing.vertices[:, 0], housing.vertices[:, 1])
-    front, end = housing.vertices[:, 2].min(), housing.vertices[:, 2].max()
-    rounding = 4.0 * np.finfo(np.float64).eps * np.abs(housing.vertices).max()
-    barrel = radius[housing.vertices[:, 2] <= front + rounding].max()
+    barrel, front, end = barrel_of(housing)
     to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
 
     # A lamp between the first vertex and the plane of the rim may be in the first lens.
@@ -65,6 +62,14 @@ def refuse_objects_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh
                 )
 
 
+def barrel_of(housing: Mesh) -> tuple[float, float, float]:
+    """Return the radius of the camera's barrel, and z of its front and of the end of the housing, camera frame, mm."""
+    radius = np.hypot(housing.vertices[:, 0], housing.vertices[:, 1])
+    front, end = housing.vertices[:, 2].min(), housing.vertices[:, 2].max()
+    rounding = 4.0 * np.finfo(np.float64).eps * np.abs(housing.vertices).max()
+    return float(radius[housing.vertices[:, 2] <= front + rounding].max()), float(front), float(end)
+
+
 def _name(scene: Scene, number: int) -> str:
     return f"targets[{number}]" if scene.targets[number].refractor is None else named_target(scene, number)
 
@@ -80,12 +85,12 @@ def _lamps(scene: Scene, to_camera: Array, beyond: float) -> Iterator[tuple[str,
     sizes = np.linalg.norm([region.half_mm for _, region in regions], axis=2).sum(axis=1)
     for k in np.flatnonzero(centres[:, 2] + sizes >= beyond):
         number, region = regions[k]
-        corners = _outline(region)
+        corners = outline_of(region)
         name = f"lights[{number}].{scene.lights[number].place_in_words}"
         yield name, corners, np.arange(len(corners), dtype=np.int64)[None]
 
 
-def _outline(region: Region) -> Array:
+def outline_of(region: Region) -> Array:
     """Return a polygon that tightly encloses a region."""
     if not region.is_round:
         return region.corners_mm

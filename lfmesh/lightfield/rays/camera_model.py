@@ -13,6 +13,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.index_media import refuse_bending
 from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.motions import refuse_motion
 from lfmesh.lightfield.calibration.calibration import Calibration
 from lfmesh.lightfield.rays.chief_rays import plate_of
 from lfmesh.lightfield.rays.object_rays import object_rays
@@ -123,8 +124,8 @@ def camera_model(
     Raises
     ------
     LfmeshError
-        A conventional camera, a camera that passes no light, media that bend light, or an invalid number of views or
-        distance.
+        A conventional camera, a camera that passes no light, media that bend light, motion, or an invalid number of
+        views or distance.
     """
     scene = image_or_scene.scene if isinstance(image_or_scene, Image) else image_or_scene
     with announced(progress) as say:
@@ -133,6 +134,7 @@ def camera_model(
 
 def _traced(scene: Scene, views: int | None, distances_mm: tuple[float, ...] | None, say: Say) -> CameraModel:
     refuse_bending(scene, "a camera model is that of the camera alone; omit it")
+    refuse_motion(scene, "a camera model is that of a camera at rest in front of objects at rest; omit it")
     say("camera model: rays of the pixels")
     bare = scene.changed({"targets": (), "lights": (), "tanks": (), "media": (), "particles": ()})
     plate = plate_of(solved_camera(bare).scene)

@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.index_media import refuse_bending
 from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.motions import refuse_motion
 from lfmesh.lightfield.calibration.calibration import calibrate
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.rays.ray_model import RayModel
@@ -182,12 +183,13 @@ def fit_boards(
     Raises
     ------
     LfmeshError
-        As for `lf.fit`; or the scene has media that bend light; or a board is not found, has another number of corners
-        than stated, or does not fit the camera.
+        As for `lf.fit`; or the scene has media that bend light, or motion; or a board is not found, has another number
+        of corners than stated, or does not fit the camera.
     """
     if not boards:
         raise LfmeshError("boards is empty: give one picture of a board or more, or use lf.fit")
     refuse_bending(scene, "boards are fitted through air alone; omit it")
+    refuse_motion(scene, "boards are fitted by cameras and boards at rest; omit it")
     start = solved_camera(scene.pinned()).scene
     parameters_of(start, also)
     distance = start.camera.mla.distance_mm if start.camera.mla is not None else None

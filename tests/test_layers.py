@@ -27,7 +27,8 @@ ROOMS = {
     "kernels": ["private", "cache, accelerator", "decorators, by_address", "search, vector"],
     "transport": [
         *["packets", "paths", "tables", "events", "lights", "sequences", "aims", "checks/aim_proof", "regions"],
-        *["choice", "collisions, inside_camera", "close_faces, refused_fields, refused_lamps", "refused_glass"],
+        *["choice", "collisions, inside_camera", "close_faces, refused_fields, refused_lamps"],
+        *["refused_glass, refused_motion"],
         *["world", "world_cache", "build", "settings"],
         *["threads", "engine", "sources"],  # packets through a world, and what starts them
         "checks, render, ray_starts, traced_paths, trace",

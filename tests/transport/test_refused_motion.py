@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 import lfmesh as lf
@@ -178,6 +179,8 @@ def test_models_of_the_camera_are_refused_while_things_move() -> None:
     scene = lf.Scene(camera=close_up_camera(), exposure=EXPOSURE, targets=[ball([0.0, 0.0, -60.0], going(1.0))])  # type: ignore[arg-type]
     with pytest.raises(lf.LfmeshError, match=r"targets\[0\]\.motion: a camera model is that of a camera at rest"):
         lf.camera_model(scene)
+    with pytest.raises(lf.LfmeshError, match=r"targets\[0\]\.motion: boards are fitted by cameras and boards at rest"):
+        lf.fit_boards(np.ones((20, 20)), scene, [lf.Board(np.ones((20, 20)), square_mm=1.0)])
 
 
 def test_an_exposure_of_things_at_rest_proves_nothing() -> None:

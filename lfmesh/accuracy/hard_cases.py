@@ -21,6 +21,7 @@ from lfmesh.accuracy.hard import (
     many_lamps,
     media,
     meshes,
+    motions,
     openings,
     phases,
     pictures,
@@ -167,6 +168,15 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     pictures.wall_behind_a_block,
     pictures.sums_of_a_red_band,
     pictures.caustic_of_a_ball,
+    motions.ten_thousand_turns,
+    motions.flash_of_a_nanosecond,
+    motions.motion_of_a_picometre,
+    motions.wall_from_half_a_kilometre,
+    motions.exposures_of_a_picosecond_and_a_year,
+    motions.walls_through_each_other,
+    motions.poses_almost_half_a_turn_apart,
+    motions.a_hundred_motions_at_once,
+    motions.camera_that_turns_in_a_room,
 )
 
 ALLOWED_LOSS = 1e-7

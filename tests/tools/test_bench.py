@@ -34,9 +34,11 @@ CASES = {
     "spreads": ["--quick"],
     "elements": ["--quick", "--samples", "2"],
     "fields": ["--quick", "--samples", "2"],
+    "motion": ["--quick", "--samples", "2"],
     "startup": ["--quick"],
 }
-LONG = ("errors", "lens", "startup", "against", "scaling", "media", "paired", "render", "spreads", "elements", "fields")
+LONG = ("errors", "lens", "startup", "against", "scaling", "media", "paired", "render", "spreads", "elements", "fields",
+        "motion")  # fmt: skip
 """Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size, lens
 for each lens and each other program. Of commands that render scenes and print tables of them, image and errors are in
 the suite.
@@ -60,6 +62,7 @@ TABLES = {
     "spreads": {"spreads": "COLUMNS"},
     "elements": {"elements": "COLUMNS"},
     "fields": {"fields": "COLUMNS", "steps": "STEP_COLUMNS"},
+    "motion": {"motion": "COLUMNS"},
     "startup": {"startup": "COLUMNS"},
 }
 

@@ -153,4 +153,6 @@ def assert_same(one: Array, other: Array, visible: float) -> None:
         means[0], spreads[0], len(one), means[1], spreads[1], len(other), equal_var=False
     ).pvalue
     worst = int(np.argmin(p))
-    assert p[worst] > LEVEL / p.size, f"number {worst}: {means[0][worst]:.5g}, not {means[1][worst]:.5g}: p {p[worst]:.1g}"
+    assert p[worst] > LEVEL / p.size, (
+        f"number {worst}: {means[0][worst]:.5g}, not {means[1][worst]:.5g}: p {p[worst]:.1g}"
+    )

@@ -247,7 +247,7 @@ def test_a_particle_leaves_a_streak(name: str, tmp_path: Path) -> None:
     shutter = keys.get("shutter", OPEN)
     begins = np.array([rolled(row, "up") if "row_time_s" in keys else 0.0 for row in range(ROWS)])
     truth = streak_of(np.array(vector), shutter, begins)
-    assert (truth > 0.0).sum() > 4
+    assert (truth > 0.0).sum() > 2
     assert truth.sum() == pytest.approx(1.0, abs=1e-3) or "row_time_s" in keys
     still = stack(particle(tmp_path), [0]).sum()
     frame = (np.array(vector) * FRAME_S / DURATION_S).tolist()
@@ -258,7 +258,7 @@ def test_a_particle_leaves_a_streak(name: str, tmp_path: Path) -> None:
 
 def test_a_particle_moves_along_the_chord_of_its_displacement(tmp_path: Path) -> None:
     """A rotation of 90 degrees in a frame that takes as long as the exposure; the streak ends where the frame ends."""
-    centre = FIRST + [1.5, 0.0, 0.0]
+    centre = FIRST + np.array([1.5, 0.0, 0.0])
     turn = {"kind": "rotation", "center_mm": centre.tolist(), "axis": (0.0, 0.0, 1.0), "angle_deg": 90.0}
     moves = {"displacement": turn, "frame_time_s": DURATION_S}
     truth = streak_of(np.array([1.5, -1.5, 0.0]), OPEN, np.zeros(ROWS))

@@ -1,5 +1,7 @@
 """Lamps and media that move during an exposure: irradiance, a searchlight, passing fog, against closed forms."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -44,7 +44,8 @@ def kinds_of(number: int) -> tuple[str, str]:
 def motion(draw: np.random.Generator, path_mm: float, turn_deg: float) -> Tables:
     """Draw a motion of up to a path and a turn in the exposure."""
     velocity, spin = (
-        limit / DURATION_S * draw.uniform(0.3, 1.0) * draw.normal(size=3) / np.sqrt(3.0) for limit in (path_mm, turn_deg)
+        limit / DURATION_S * draw.uniform(0.3, 1.0) * draw.normal(size=3) / np.sqrt(3.0)
+        for limit in (path_mm, turn_deg)
     )
     return {"motion": {"velocity_mm_s": velocity.tolist(), "spin_deg_s": spin.tolist()}}
 
@@ -205,9 +206,7 @@ def test_threads_do_not_change_a_picture(number: int, method: str, folder: Path)
 @pytest.mark.parametrize("method", ["adjoint", "forward"])
 def test_replicates_tell_the_error(method: str, folder: Path) -> None:
     """The spread of the pixels over seeds is the standard error that pictures state."""
-    scene = drawn(0, folder).changed(
-        {"transport.samples": 64, "transport.replicates": 8, "transport.method": method}
-    )
+    scene = drawn(0, folder).changed({"transport.samples": 64, "transport.replicates": 8, "transport.method": method})
     images = list(by_seed(scene, range(40)))
     pixel = np.array([image.mean.ravel() for image in images])
     stated = np.array([image.stderr.ravel() ** 2 for image in images]).mean(axis=0)

@@ -51,14 +51,14 @@ def exposure(shutter: ArrayLike | None = None, **keys: Any) -> Tables:
 
 def glowing(low_mm: float, high_mm: float, **keys: Any) -> Tables:
     """Return a plane in focus that shines, between two x."""
-    shape = {"kind": "plane", "width_mm": high_mm - low_mm, "height_mm": 100.0}
+    shape = {"kind": "plane", "width_mm": high_mm - low_mm, "height_mm": 8.0}
     return {
         "shape": shape, "position_mm": (0.5 * (low_mm + high_mm), 0.0, -FOCUS_MM),
         "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}, **keys,
     }  # fmt: skip
 
 
-WHOLE = glowing(-50.0, 50.0)
+WHOLE = glowing(-5.0, 5.0)
 """A plane that shines and fills the picture."""
 
 

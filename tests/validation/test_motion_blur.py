@@ -40,7 +40,7 @@ SPEED = 300.0
 START = -1.3
 """x of the edge at the begin, mm."""
 
-FAR = -60.0
+FAR = -8.0
 """x of the other edge of what shines."""
 
 

@@ -27,7 +27,7 @@ SEEDS = range(12)
 SAMPLES = 512
 
 WALL: Tables = {
-    "shape": {"kind": "plane", "width_mm": 120.0, "height_mm": 120.0}, "position_mm": (0.0, 0.0, -FOCUS_MM),
+    "shape": {"kind": "plane", "width_mm": 9.0, "height_mm": 6.0}, "position_mm": (0.0, 0.0, -FOCUS_MM),
     "material": {"reflectance": 0.8},
 }  # fmt: skip
 SUN: Tables = {"kind": "directional", "direction": (0.5, 0.3, -1.0), "irradiance_w_m2": 1.0}
@@ -150,7 +150,7 @@ def test_fog_that_passes_by_takes_and_gives_light_for_the_time_of_its_passage(tu
     """A box of it, in front of what shines; it passes through the whole picture, from side to side or upwards."""
     speed = 40.0 / DURATION_S
     along = np.array([0.0, 1.0, 0.0]) if turned else np.array([1.0, 0.0, 0.0])
-    size = (60.0, WIDTH, DEPTH) if turned else (WIDTH, 60.0, DEPTH)
+    size = (14.0, WIDTH, DEPTH) if turned else (WIDTH, 14.0, DEPTH)
     fog: Tables = {
         "bounds": {"kind": "box", "size_mm": size}, "position_mm": [0.0, 0.0, -AWAY] - 20.0 * along,
         "absorption_per_mm": ABSORPTION, "emission_w_mm3_sr": SOURCE * ABSORPTION / M2,

@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -305,10 +306,13 @@ def _binned(scene: Scene, pixels: int) -> tuple[Scene, int]:
     """
     sensor = scene.camera.sensor
     factor = max(1, min(sensor.pixels) // pixels)
-    changes = {
+    changes: dict[str, Any] = {
         "camera.sensor.pixels": [side // factor for side in sensor.pixels],
         "camera.sensor.pixel_mm": sensor.pixel_mm * factor,
     }
+    if scene.exposure is not None:
+        # A binned row begins as late as its place on the sensor says.
+        changes["exposure.row_time_s"] = scene.exposure.row_time_s * factor
     return scene.changed(changes).at_line(scene.primary_nm), factor
 
 

@@ -22,6 +22,7 @@ from lfmesh.accuracy.image_efficiency import (
     ANALOG,
     RANDOM,
     SOBOL,
+    SPLITTING,
     WAYS,
     Effort,
     ImageRow,
@@ -165,6 +166,21 @@ def test_errors_of_images_are_those_of_their_standard_errors(report: AccuracyRep
     # At equal samples; the same seeds give the same errors, whatever the machine does.
     analog, aimed = images.of(ANALOG)[-1], images.of(AIMING)[-1]
     assert analog.mse * analog.samples > 10.0 * aimed.mse * aimed.samples
+
+
+def test_every_way_estimates_the_light_of_a_scene_in_motion(scene_file: Path) -> None:
+    """A lamp that swings over a plane, a camera that moves and a rolling shutter, whose rows are binned."""
+    scene = lf.load(scene_file).changed(
+        {
+            "exposure": {"duration_s": 0.01, "row_time_s": 2e-4},
+            "lights[0].motion": {"velocity_mm_s": [-1000.0, 500.0, 0.0]},
+            "camera.motion": {"velocity_mm_s": [0.0, 100.0, 0.0]},
+        }
+    )
+    samples = {way.name: (64,) if way in (ANALOG, SPLITTING) else (8,) for way in WAYS}
+    study = study_images(scene, Effort(20, samples, 4, 512))
+    assert study.binned == 2
+    assert 2.0 * stats.norm.sf(max(abs(row.bias_z) for row in study.rows)) > LEVEL / len(study.rows)
 
 
 def test_splitting_and_aiming_gain_a_thousand_in_variance_a_sample_on_the_default_scene() -> None:

@@ -49,7 +49,9 @@ CROPS = {
     "panel_and_tube": (-1.0, 0.5),
     "particles": (-1.0, 0.5),
     "polarised": (-1.0, 0.5),
+    "rolling_shutter": (-1.0, 0.3),
     "schlieren_plume": (-1.0, 0.5),
+    "streaks": (-0.9, 1.0),
     "tank": (-1.0, 0.5),
     "underwater": (-1.0, 0.5),
 }

@@ -169,6 +169,16 @@ class Motion(Model):
             why = f"must be above {times[k]:g}, that of the pose before"
             yield Fault(("poses", k + 1, "time_s"), times[k + 1], why)
 
+    @property
+    def in_words(self) -> str:
+        """Velocity and spin, or the number of poses and their last time."""
+        if self.poses:
+            return f"{len(self.poses)} poses in {self.poses[-1].time_s:g} s"
+        parts = [(self.velocity_mm_s, "mm/s"), (self.spin_deg_s, "°/s")]
+        return ", ".join(
+            f"{' '.join(f'{v:zg}' for v in vector)} {unit}" for vector, unit in parts if vector is not None
+        )
+
     def about(self, place: Vector) -> "Motion":
         """Return the motion for the parts of an object that has its own position, (x, y, z) mm.
 

@@ -13,7 +13,7 @@ from lfmesh.scene.camera.file_choices import FILE_CHOICES
 from lfmesh.scene.changes import changed_table, opened, steps_of
 from lfmesh.scene.inputs import digest_of, files_of
 from lfmesh.scene.light.spectra import Spectrum
-from lfmesh.scene.model import Fault, dead_end
+from lfmesh.scene.model import Fault, dead_end, format_path
 from lfmesh.scene.scene_faults import scene_faults
 from lfmesh.scene.scene_parts import SceneParts
 
@@ -190,6 +190,19 @@ class Scene(SceneParts, Shown):
         scene._folder, scene._digests, scene._title = self._folder, dict(self._digests), self._title
         scene._lens_table = table if solves else changed_table(table, values)
         return scene
+
+    def still(self) -> "Scene":
+        """Return the scene as given, that at t = 0: a copy without exposure and motions.
+
+        Returns
+        -------
+        Scene
+        """
+        if self.exposure is None:
+            return self
+        moving = {format_path(where): None for where, _ in self.things_with_motion()}
+        streaks = {f"particles[{i}].frame_time_s": None for i in range(len(self.particles))}
+        return self.changed({"exposure": None} | moving | streaks)
 
     def camera_alone(self, values: dict[str, Any] | None = None) -> "Scene":
         """Return a still copy with an empty object space: no targets, lights, media, particles or tanks.

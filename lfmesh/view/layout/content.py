@@ -4,14 +4,17 @@ Pure geometry, as z and y in the camera frame, mm; `lfmesh.view.layout.figure` d
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from lfmesh.geometry import frame
 from lfmesh.geometry.lens.main_order import with_main_orders
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.motions import motions_of
 from lfmesh.geometry.objects.targets import target_mesh
+from lfmesh.geometry.rigid_motion import pose_at
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, MicrolensArray, Scene
 from lfmesh.scene.first_order.focused import middle_of
@@ -89,12 +92,13 @@ class Bundle:
 
 @dataclass(frozen=True)
 class TargetSection:
-    """Meridional section of a target: (n, 2) lines; `closed`: an outline; `glass`: refracts."""
+    """Meridional section of a target: (n, 2) lines; `closed`: an outline; `glass`: refracts; `at_end`: after motion."""
 
     name: str
     lines: list[Array]
     closed: bool
     glass: bool
+    at_end: list[Array] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -199,9 +203,10 @@ def layout(scene: Scene) -> Layout:
     """
     camera = solved_camera(scene)
     drawn, facts = camera.scene, camera.report
-    glass_targets = [t.model_dump() for t in drawn.targets if t.refractor is not None]
+    still = drawn.still()
+    glass_targets = [t.model_dump() for t in still.targets if t.refractor is not None]
     unpolarised = {"transport.polarisation": False, "camera.polariser_deg": None}
-    unlit = drawn.changed({"lights": (), "particles": (), **unpolarised})
+    unlit = still.changed({"lights": (), "particles": (), **unpolarised})
     world = build(with_main_orders(unlit.changed({"targets": glass_targets, "media": ()})))
     distance = _focus_mm(facts)
     aim = Aim(world, distance)
@@ -294,8 +299,22 @@ def _target_sections(scene: Scene, moves: Array) -> list[TargetSection]:
         lines = mesh_section(made.mesh.moved(to_camera).solid())
         if lines:
             name = target.name or f"targets[{i}]"
-            sections.append(TargetSection(name, lines, made.closed, target.refractor is not None))
+            at_end = _at_end(scene, i, to_camera)
+            moved = [] if at_end is None else mesh_section(made.mesh.moved(at_end).solid())
+            sections.append(TargetSection(name, lines, made.closed, target.refractor is not None, moved))
     return sections
+
+
+def _at_end(scene: Scene, number: int, to_camera: Array) -> Array | None:
+    """Return the move of a target to its place relative to the camera at the end of the exposure; None at rest."""
+    motions = motions_of(scene)
+    body, camera = motions.bodies[number], motions.camera
+    if scene.exposure is None or (body is None and camera is None):
+        return None
+    end_s = scene.exposure.end_s(scene.camera.sensor.pixels[1])
+    moved = frame.IDENTITY if body is None else pose_at(body, end_s)
+    back = frame.IDENTITY if camera is None else frame.inverse(pose_at(camera, end_s))
+    return frame.compose(to_camera, frame.compose(back, moved))
 
 
 def _detail(scene: Scene, facts: FirstOrder, world: World, aim: Aim) -> Detail:

@@ -250,6 +250,8 @@ def _draw_targets(view: View, targets: Sequence[TargetSection]) -> None:
                 view.area(line, fc=GLASS if target.glass else TARGET, alpha=0.6 if target.glass else 1.0, zorder=1.2)
         else:
             view.lines(target.lines, linewidths=1.4, zorder=2)
+        if target.at_end:
+            view.lines(target.at_end, linewidths=0.7, linestyles=":", colors=GREY, zorder=1.3)
 
 
 def _draw_media(view: View, media: Sequence[MediumSection], window: tuple[float, float, float, float]) -> None:

@@ -6,8 +6,8 @@ from collections.abc import Set
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import Medium, medium_in_words, refractive_index
 from lfmesh.optics.gradients import fields_at, gradient_table
+from lfmesh.scene import Light, Surface, Target
 from lfmesh.scene import Medium as SceneMedium
-from lfmesh.scene import Surface
 from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.first_order.phase_lines import least_period_mm
 from lfmesh.scene.light.spectra import Spectrum, spectral_in_words
@@ -213,7 +213,7 @@ def _target(world: World, number: int) -> Rows:
     shape = target.shape if glass is None else glass.solid
     what = str(shape.kind if shape is not None else target.file or (glass and glass.file))
     rows = [("target", f"{target.name or f'targets[{number}]'}, {what}")]
-    rows += [("position", " ".join(f"{value:zg}" for value in target.position_mm) + " mm")]
+    rows += [("position", " ".join(f"{value:zg}" for value in target.position_mm) + " mm"), *_motion(target)]
     if target.refractor is not None:
         return [*rows, ("glass", _medium(world, target.refractor.medium))]
     material = target.material
@@ -236,6 +236,7 @@ def _light(world: World, number: int) -> Rows:
     return [
         ("light", f"{light.kind}, lights[{number}]"),
         *_fields(light),
+        *_motion(light),
         *([("spectrum", spectral_in_words(light.spectrum))] if light.spectrum is not None else []),
     ]
 
@@ -251,9 +252,15 @@ def _medium_round(world: World, number: int) -> Rows:
         ("inside", medium.inside or ("air" if outside is None else _medium(world, outside))),
         *((key, spectral_in_words(value)) for key, value in values if value),
         *_index_round(medium),
+        *_motion(medium),
         *([("bounds", medium.bounds.kind), *_fields(medium.bounds)] if medium.bounds is not None else []),
         *([("grid", medium.grid.file)] if medium.grid is not None else []),
     ]
+
+
+def _motion(thing: Target | SceneMedium | Light) -> Rows:
+    """Return the motion during the exposure, if there is one."""
+    return [("motion", thing.motion.in_words)] if thing.motion is not None else []
 
 
 def _index_round(medium: SceneMedium) -> Rows:
@@ -273,8 +280,8 @@ def _particles(world: World, number: int) -> Rows:
 
 
 def _fields(model: Model) -> Rows:
-    """Return the non-default fields of a table, except its kind and spectrum."""
-    fields = model.model_dump(exclude={"kind", "spectrum"}, exclude_defaults=True)
+    """Return the non-default fields of a table, except its kind, spectrum and motion."""
+    fields = model.model_dump(exclude={"kind", "spectrum", "motion"}, exclude_defaults=True)
     values = {key: value if isinstance(value, tuple) else (value,) for key, value in fields.items()}
     return [
         (key, " ".join(part if isinstance(part, str) else f"{part:zg}" for part in value))

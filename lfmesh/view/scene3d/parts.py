@@ -14,6 +14,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.mesh import Mesh, joined
+from lfmesh.geometry.motions import motions_of
 from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.geometry.surfaces.tessellation import element
 from lfmesh.optics.glass import refractive_index
@@ -28,6 +29,7 @@ from lfmesh.view.scene3d.base_colours import base_colours, paint
 from lfmesh.view.scene3d.colours import tint
 from lfmesh.view.scene3d.describe import lone_diffractive
 from lfmesh.view.scene3d.media_parts import bodies
+from lfmesh.view.scene3d.motion_parts import drawn_motions, end_pose
 from lfmesh.view.scene3d.outlines import outline_of_medium, outline_of_sheet
 from lfmesh.view.scene3d.presets import chip_size_mm
 from lfmesh.view.scene3d.ray_lines import line_segments
@@ -55,6 +57,9 @@ GLOWING = "#ffe9b0"
 
 DARKEST = 0.25
 """Smallest brightest channel of a target's colour, which would otherwise vanish before the background."""
+
+MOVES, GHOST = "#d08cff", 0.12
+"""Colour of ways during the exposure and of bodies at its end, and the opacity of these."""
 
 SYMBOL = 0.03
 """Size of a light's symbol relative to the scene."""
@@ -117,7 +122,7 @@ def parts(
     made = [*_lens(world, detail), *_stop(world), *_array(world, near_mm, detail), *_sensor(world, picture)]
     made += [part for i, target in enumerate(world.targets) for part in _target(world, i, target)]
     _reduce_pictures(made, detail.picture_px)
-    return [*made, *_lights(world), *_particles(world), *_media(world), *_signs(world)]
+    return [*made, *_lights(world), *_particles(world), *_media(world), *_motions(world), *_signs(world)]
 
 
 def _reduce_pictures(made: list[Part], longest_px: int) -> None:
@@ -418,6 +423,23 @@ def _media(world: World) -> Iterator[Part]:
         for place, (body, opacity) in enumerate(bodies(medium), 1):
             look = {"color": medium.colour, "opacity": opacity, "lighting": False}
             yield Part(name, "medium", body, look, label=f"{name} shell {place}")
+
+
+def _motions(world: World) -> Iterator[Part]:
+    """Yield the ways of everything that moves during the exposure, and a ghost of each body at its end."""
+    if not world.scene.moves:
+        return
+    look = {"color": MOVES, "line_width": 2, "lighting": False}
+    for name, way, tip in drawn_motions(world):
+        yield Part(name, "sign", way, look, label=f"{name} way")
+        yield Part(name, "sign", tip, {"color": MOVES, "lighting": False}, label=f"{name} arrow")
+    for i, motion in enumerate(motions_of(world.scene).bodies):
+        if motion is not None:
+            ghost = closed(world.targets[i].mesh.moved(end_pose(world, motion)))
+            faint = {"color": MOVES, "opacity": GHOST, "lighting": False}
+            yield Part(
+                f"targets[{i}]", "sign", ghost, faint, creases_of(ghost), MOVES, label=f"targets[{i}] at the end"
+            )
 
 
 def _spikes(centre: tuple[float, float, float], size: float) -> pv.PolyData:

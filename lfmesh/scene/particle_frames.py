@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, SceneError
 from lfmesh.scene.light.particles import PLACE, VECTOR, displacements, particle_places
+from lfmesh.scene.model import format_path
+from lfmesh.scene.motion import is_moving
 from lfmesh.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -28,11 +30,14 @@ def displaced(scene: Scene, frames: int = 1) -> Scene:
     Raises
     ------
     SceneError
-        No particle moves.
+        No particle moves, or something else moves, too.
     """
     moving = [i for i, group in enumerate(scene.particles) if group.displacement is not None]
     if not moving:
         raise SceneError("none of the scene's particles moves: give [[particles]] a displacement")
+    for where, thing in scene.things_with_motion():
+        if is_moving(thing):
+            raise SceneError(f"{format_path(where)}: frames move particles alone, all else stays as at t = 0; omit it")
     return scene.changed({f"particles[{i}].frame": scene.particles[i].frame + frames for i in moving})
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from lfmesh.errors import SceneError
-from lfmesh.scene import Exposure, Scene, loads
+from lfmesh.scene import Exposure, Motion, Scene, loads
+from lfmesh.scene.particle_frames import displaced
 from tests.cameras import camera_without_array
 
 BALL = {"shape": {"kind": "sphere", "radius_mm": 5.0}, "position_mm": [0.0, 0.0, -150.0]}
@@ -179,3 +180,20 @@ def test_a_camera_alone_stands_still() -> None:
     alone = moving.camera_alone({"camera.pose": {}})
     assert alone.exposure is None
     assert alone.camera.motion is None
+
+
+def test_paths_of_studies_reach_into_motions() -> None:
+    moving = scene(targets=(with_motion(BALL, RIGHT),))
+    faster = moving.changed({"targets[0].motion.velocity_mm_s[0]": 9.0, "exposure.row_time_s": 1e-4})
+    assert faster.targets[0].motion == Motion(velocity_mm_s=(9.0, 0.0, 0.0))
+    assert not faster.changed({"targets[0].motion": None}).moves
+    assert faster.digest != moving.digest
+    with pytest.raises(SceneError, match=r"targets\[0\].motion: needs \[exposure\]"):
+        faster.changed({"exposure": None})
+
+
+def test_frames_refuse_what_moves_beside_the_particles() -> None:
+    group = DUST | {"frame_time_s": 0.1}
+    assert displaced(scene(particles=(group,))).particles[0].frame == 1
+    with pytest.raises(SceneError, match=r"targets\[0\].motion: frames move particles alone"):
+        displaced(scene(particles=(group,), targets=(with_motion(BALL, RIGHT),)))

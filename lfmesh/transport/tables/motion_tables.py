@@ -26,9 +26,6 @@ Records = NDArray[np.void]
 ROOM = 1.0 + 2.0**-10
 """Enlargement of the spheres round targets, which rays of queries must not miss by their rounding."""
 
-ROUNDING = 1e-12
-"""Difference of equal motions, over the size of their numbers."""
-
 
 def motion_tables(
     scene: Scene, targets: list[TargetMesh], objects: ObjectTables, frames: Array
@@ -98,9 +95,8 @@ def _numbered(movers: list[Records], motions: Sequence[Records | None]) -> Numbe
         own = rest if motion is None else motion
         key = own.tobytes()
         if key not in known:
-            known[key] = next((k for k, mover in enumerate(movers) if _alike(mover, own)), len(movers))
-            if known[key] == len(movers):
-                movers.append(own)
+            known[key] = len(movers)
+            movers.append(own)
         if len(movers) > MOST_MOVERS:
             raise SceneError(
                 f"motion: more than {MOST_MOVERS} things move differently relative to the camera; give some of them "
@@ -108,16 +104,6 @@ def _numbered(movers: list[Records], motions: Sequence[Records | None]) -> Numbe
             )
         numbers[i] = known[key]
     return numbers
-
-
-def _alike(one: Records, other: Records) -> bool:
-    """Tell whether two motions are equal to rounding, as of the bodies of one tank, which have different origins."""
-    if len(one) != len(other) or (one["begin_s"] != other["begin_s"]).any():
-        return False
-    return all(
-        float(np.abs(one[name] - other[name]).max()) <= ROUNDING * float(np.abs(one[name]).max())
-        for name in ("start", "centre", "velocity", "axis", "rate")
-    )
 
 
 def hulls_of(targets: list[TargetMesh], objects: ObjectTables, to_object: Array) -> list[Array]:

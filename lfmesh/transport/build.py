@@ -52,11 +52,12 @@ from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book
 from lfmesh.transport.tables.lens import lens_tables, mla_tables, with_diffracting_stop, with_diffraction
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList, clear, index2_behind_lens
-from lfmesh.transport.tables.motion_tables import hulls_of, motion_tables, swept, swept_boxes, with_motions
+from lfmesh.transport.tables.motion_tables import hulls_of, motion_tables, swept_boxes, with_motions
 from lfmesh.transport.tables.motions import STILL, Motions
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, with_fields
 from lfmesh.transport.tables.particles import corners_round, particle_tables, refuse_particles_behind
 from lfmesh.transport.tables.polarisation import polarisation_tables
+from lfmesh.transport.tables.swept import swept
 from lfmesh.transport.tables.tables import AIR, ROUGH, AimTables, Camera, SensorTables, Tables
 from lfmesh.transport.tables.volumes import corners_in_camera, reach_of
 from lfmesh.transport.world_cache import keep, key_of, known, let_go, refuse_other
@@ -227,7 +228,7 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     own = scene.camera.sensor
     sensor = SensorTables(columns, rows, own.pixel_mm, own.reflectance, index2_behind_lens(scene, wavelengths_nm))
     particles = particle_tables(scene, lines, objects.media, lambda points: places_round(objects, targets, points))
-    refuse_particles_behind(particles, moves, float(lens.box_low[2]))
+    refuse_particles_behind(particles, moves, float(lens.box_low[2]), motions)
     diffracting = with_diffraction(scene, with_gradient_cells(scene, mla, wavelengths_nm), wavelengths_nm)
     stopped = with_diffracting_stop(scene, lens, wavelengths_nm)
     # Absorption weakens light but does not change its path.
@@ -238,13 +239,11 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     def find_aim() -> tuple[AimTables, AimProof | None]:
         if not aimed:
             return anywhere, None
-        grains, still = corners_round(particles), targets
-        if motions is None:
-            boxes = [corners_in_camera(objects.volumes, moves), frame.points(moves[WORLD_FRAME, CAMERA_FRAME], grains)]
-        else:
+        still, around = targets, corners_in_camera(objects.volumes, moves)
+        if motions is not None:
             still = [target for target, mover in zip(targets, motions.of_target, strict=False) if mover == STILL]
-            grains = frame.points(moves[WORLD_FRAME, OBJECT_FRAME], grains)
-            boxes = [swept_boxes(motions, hulls, objects, grains, moves)]
+            around = swept_boxes(motions, hulls, objects, moves)
+        boxes = [around, frame.points(moves[WORLD_FRAME, CAMERA_FRAME], corners_round(particles, motions))]
         if reach_of(objects.volumes)[1]:
             boxes.append(all_before(lens))
         shapes = shapes_in_camera(still, np.concatenate(boxes), moves)

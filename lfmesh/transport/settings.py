@@ -26,7 +26,7 @@ from lfmesh.transport.packets.packet import (
     Thinning,
 )
 from lfmesh.transport.paths.automaton import EVERY
-from lfmesh.transport.tables.motion_tables import pose_of_mover
+from lfmesh.transport.tables.swept import pose_of_mover
 from lfmesh.transport.world import World
 
 NEAR_LENS = 10.0

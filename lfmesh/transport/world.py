@@ -43,9 +43,10 @@ from lfmesh.transport.sequences.ghosts import GhostTables
 from lfmesh.transport.tables.bending_fields import boxes_of_fields
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
-from lfmesh.transport.tables.motion_tables import box_round, hulls_of
+from lfmesh.transport.tables.motion_tables import hulls_of
 from lfmesh.transport.tables.particles import ParticleTables
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
+from lfmesh.transport.tables.swept import box_round
 from lfmesh.transport.tables.tables import AimTables, Tables
 
 if TYPE_CHECKING:

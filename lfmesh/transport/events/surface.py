@@ -9,10 +9,9 @@ from lfmesh.geometry.objects.round_faces import place_in_picture, point_at, roun
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.bending import squared_index_ratio
 from lfmesh.transport.events.facets import barycentric
-from lfmesh.transport.events.moving import point_between
+from lfmesh.transport.events.moving import mover_of, point_between
 from lfmesh.transport.events.scattering import Point, emissivity, is_hot
 from lfmesh.transport.packets.children import EMITTED
-from lfmesh.transport.packets.packet import mover_of_frame
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.tables.motions import STILL
 from lfmesh.transport.tables.tables import AIR, BY_ALPHA, ObjectTables
@@ -320,5 +319,5 @@ def emitted_radiance(
     radiance /= index * index
     if hot:
         return radiance * emissivity(objects.scattering, source, packet.colour, ox, oy, oz)
-    x, y, z = point_between(moving, mover_of_frame(packet.frame), STILL, point.x, point.y, point.z)
+    x, y, z = point_between(moving, mover_of(moving, objects.facets[point.prim].body), STILL, point.x, point.y, point.z)
     return radiance * point.texel / squared_index_ratio(objects.fields, packet, x, y, z)

@@ -21,6 +21,7 @@ from lfmesh.optics.phase import evaluate_phase
 from lfmesh.transport.events.bodies import RANK, bodies_round
 from lfmesh.transport.events.crossing import deposit
 from lfmesh.transport.events.facets import EDGE, clear_of
+from lfmesh.transport.events.moving import begin
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.scattering import Point, density, evaluate
 from lfmesh.transport.events.scattering_point import ScatteringPoint, scattered_at
@@ -104,8 +105,9 @@ def ask_lamps(space: ObjectSpace, packet: Any, point: Point) -> bool:
     objects = space.objects
     facet, any_lamp, asked = objects.facets[point.prim], False, space.flow.asked
     place, normal = (point.x, point.y, point.z), (point.nx, point.ny, point.nz)
-    for k in range(lamps_to_ask(space.options, objects.lamps, packet, place, normal, asked)):
-        way = sample_lamp(space.options, objects, packet, asked[k].lamp, place, False)
+    moving = space.flow.moving
+    for k in range(lamps_to_ask(space.options, objects.lamps, packet, place, normal, asked, moving)):
+        way = sample_lamp(space.options, objects, packet, asked[k].lamp, place, False, moving)
         ux, uy, uz = way.ray.dx, way.ray.dy, way.ray.dz
         cosine = point.nx * ux + point.ny * uy + point.nz * uz
         if cosine <= 0.0 or way.value <= 0.0:
@@ -141,23 +143,22 @@ def ask_lamps_on_line(
     key : uint64
         For the random numbers.
     """
-    objects, colour, ray = space.objects, line.colour, line.ray
-    lamps, first, last = objects.lamps, passage.first, passage.last
+    objects, lamps, first, last = space.objects, space.objects.lamps, passage.first, passage.last
     t, share, scattered, medium = point
     whole = 0.0
-    if passes_lamp(lamps, colour, ray, first, last, NEAR * passage.scattered / passage.densest):
-        whole = lamps_on_line(lamps, colour, ray, first, last)
+    if passes_lamp(lamps, line, first, last, NEAR * passage.scattered / passage.densest):
+        whole = lamps_on_line(lamps, line, first, last)
     points = 2 if whole > 0.0 else 1
     for number in range(points):
         if number == 1:
-            t = distance_by_angle(lamps, colour, ray, first, last, whole * uniform(key, BY_LAMP))
+            t = distance_by_angle(lamps, line, first, last, whole * uniform(key, BY_LAMP))
             scattered, medium = scattered_at(objects.volumes, line, t, space.flow.book, key)
         if points == 2 and scattered > 0.0:
             own = scattered / passage.scattered
-            by_lamp = density_by_angle(lamps, colour, ray, t) / whole
+            by_lamp = density_by_angle(lamps, line, t) / whole
             share = (scattered if number == 1 else share * own) / (own + by_lamp)
         if scattered > 0.0:
-            _ask_lamps_in_medium(space, packet, weight * share, medium, along(ray, t))
+            _ask_lamps_in_medium(space, packet, weight * share, medium, along(line.ray, t))
 
 
 @kernel
@@ -174,12 +175,13 @@ def _ask_lamps_in_medium(
         Weight scattered there.
     medium : int
     place : (3,) float, mm
+        In the packet's frame.
     """
-    objects, volumes = space.objects, space.objects.volumes
+    objects, volumes, moving = space.objects, space.objects.volumes, space.flow.moving
     phase, asked = volumes.phases.rows[medium, packet.colour], space.flow.asked
-    for k in range(lamps_to_ask(space.options, objects.lamps, packet, place, NO_NORMAL, asked)):
+    for k in range(lamps_to_ask(space.options, objects.lamps, packet, place, NO_NORMAL, asked, moving)):
         lamp = asked[k].lamp
-        way = sample_lamp(space.options, objects, packet, lamp, place, True)
+        way = sample_lamp(space.options, objects, packet, lamp, place, True, moving)
         ray = way.ray
         scattered = evaluate_phase(volumes.phases, phase, packet.dx * ray.dx + packet.dy * ray.dy + packet.dz * ray.dz)
         if way.value * scattered > 0.0:
@@ -242,9 +244,10 @@ def ask_lights(wave: NDArray[np.void], space: ObjectSpace) -> None:
     space : ObjectSpace
     """
     for i in range(len(wave)):
-        packet = wave[i]
+        packet, moving = wave[i], space.flow.moving
+        begin(moving, space.options, packet)
         if facets_are_asked(space.options, space.objects, packet.events):
-            _ask(space, packet, sample_facets(space.options, space.objects, packet), packet.key)
+            _ask(space, packet, sample_facets(space.options, space.objects, packet, moving), packet.key)
         _ask_media(space.objects.volumes, space, packet)
 
 
@@ -256,7 +259,7 @@ def _ask_media(volumes: Any, space: ObjectSpace, packet: Any) -> None:
     options = space.options
     if options.bounce and volumes.emit:
         key = derived(packet.key, TOWARDS_MEDIA + packet.events)
-        _ask(space, packet, sample_media(volumes, options, packet, key), key)
+        _ask(space, packet, sample_media(volumes, options, packet, key, space.flow.moving), key)
     if single_scatter_is_asked(volumes, options, packet.events):
         key = derived(packet.key, TOWARDS_SCATTERED + packet.events)
         _ask(space, packet, sample_past_lamp(volumes.near_lamps, options, space.objects, packet, key), key)

@@ -3,7 +3,8 @@
 Pieces of facets are drawn by their power, texture included (see `tables.emitting_facets`). If there are many, a leaf of
 their tree is drawn first, by its light at the point (see `many_emitters`). Scattered rays alone would have a large
 variance: they seldom meet small, bright facets, and 1/r² is unbounded at facets that touch the point. Only straight
-lines in one medium are sampled; scattered rays find light through glass or the lens.
+lines in one medium are sampled; scattered rays find light through glass or the lens. Points of facets are given in the
+frame of their mover.
 """
 
 from typing import Any
@@ -16,11 +17,12 @@ from lfmesh.kernels.decorators import inlined
 from lfmesh.kernels.search import drawn_by
 from lfmesh.transport.events.crossing import EMITTER_U, draw_two
 from lfmesh.transport.events.facets import barycentric, crosses
+from lfmesh.transport.events.moving import direction_between, mover_of, point_between, ray_between
 from lfmesh.transport.events.surface import emitted_radiance, outward, place_on, point_of, spread
-from lfmesh.transport.lights.many_emitters import chance_of_leaf, drawn_leaf, lit_normal
+from lfmesh.transport.lights.many_emitters import chance_of_leaf, chance_of_tree, drawn_leaf, drawn_tree, lit_normal
 from lfmesh.transport.lights.many_lamps import Place
 from lfmesh.transport.lights.shadow import Way
-from lfmesh.transport.packets.packet import NO_SURFACE, TO_FACET, Options
+from lfmesh.transport.packets.packet import NO_SURFACE, TO_FACET, Options, mover_of_frame
 from lfmesh.transport.tables.tables import ObjectTables
 
 
@@ -41,7 +43,7 @@ def are_asked(options: Options, objects: ObjectTables, events: int) -> bool:
 
 
 @inlined
-def sample(options: Options, objects: ObjectTables, packet: Any) -> Way:
+def sample(options: Options, objects: ObjectTables, packet: Any, moving: Any) -> Way:
     """Draw a way from a packet's position to a point of the emitting facets.
 
     Parameters
@@ -49,14 +51,17 @@ def sample(options: Options, objects: ObjectTables, packet: Any) -> Way:
     options : Options
     objects : ObjectTables
     packet : PACKET
+    moving : Moving or None
     """
     u, v = draw_two(options, packet, EMITTER_U)
-    normal = lit_normal(objects, packet, True)
-    prim, x, y, z, per_area = emitting_point(objects, (packet.x, packet.y, packet.z), normal, u, v)
+    normal, here = lit_normal(objects, packet, True, moving), mover_of_frame(packet.frame)
+    prim, x, y, z, per_area = emitting_point(objects, (packet.x, packet.y, packet.z), normal, u, v, moving, here)
     if prim < 0:
         return Way(TO_FACET, prim, ray_of(packet), 0.0, 1.0, 0.0)
     nx, ny, nz = outward(objects, prim, x, y, z)
-    ux, uy, uz = x - packet.x, y - packet.y, z - packet.z
+    there = mover_of(moving, objects.facets[prim].body)
+    px, py, pz = point_between(moving, here, there, packet.x, packet.y, packet.z)
+    ux, uy, uz = x - px, y - py, z - pz
     distance2 = ux * ux + uy * uy + uz * uz
     distance = np.sqrt(distance2)
     drawn, away = 0.0, 0.0
@@ -66,6 +71,7 @@ def sample(options: Options, objects: ObjectTables, packet: Any) -> Way:
     # A facet in the point's own plane, to within rounding, sends it no light.
     if away < 0.0 or (away > 0.0 and not objects.one_sided[objects.facets[prim].body]):
         drawn = per_area * distance2 / abs(away)
+    ux, uy, uz = direction_between(moving, there, here, ux, uy, uz)
     return Way(TO_FACET, prim, Ray(packet.x, packet.y, packet.z, ux, uy, uz), distance, 1.0, drawn)
 
 
@@ -79,23 +85,24 @@ def _is_bent(rounds: Any, prim: int) -> bool:
 
 
 @inlined
-def density(objects: ObjectTables, packet: Any, prim: int, x: float, y: float, z: float) -> float:
+def density(objects: ObjectTables, packet: Any, prim: int, x: float, y: float, z: float, moving: Any) -> float:
     """Return the density, 1/sr, of `sample` for the way from a packet's start to a point of a facet.
 
     Parameters
     ----------
     objects : ObjectTables
     packet : PACKET
-        At its last scattering.
+        At its last scattering, in the frame of the facet's mover.
     prim : int
         Facet.
     x, y, z : float, mm
-        Point of the facet, object frame.
+        Point of the facet.
+    moving : Moving or None
     """
     if len(objects.emitters.until) == 0:
         return 0.0
-    place, normal = (packet.x, packet.y, packet.z), lit_normal(objects, packet, False)
-    per_area = density_at(objects, place, normal, prim, (x, y, z))
+    place, normal = (packet.x, packet.y, packet.z), lit_normal(objects, packet, False, moving)
+    per_area = density_at(objects, place, normal, prim, (x, y, z), moving, mover_of_frame(packet.frame))
     if per_area <= 0.0:
         return 0.0
     dx, dy, dz = x - packet.x, y - packet.y, z - packet.z
@@ -117,7 +124,8 @@ def radiance(objects: ObjectTables, packet: Any, way: Way, moving: Any) -> float
         From `sample`.
     moving : Moving or None
     """
-    ray, place = way.ray, along(way.ray, way.reach)
+    ray = _ray_at(objects, packet, way.goal, way.ray, moving)
+    place = along(ray, way.reach)
     nx, ny, nz = outward(objects, way.goal, place[0], place[1], place[2])
     side = -1.0 if nx * ray.dx + ny * ray.dy + nz * ray.dz > 0.0 else 1.0
     there = point_of(objects, packet, way.goal, place, side, True)
@@ -125,7 +133,13 @@ def radiance(objects: ObjectTables, packet: Any, way: Way, moving: Any) -> float
 
 
 @inlined
-def is_reached(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
+def _ray_at(objects: ObjectTables, packet: Any, prim: int, ray: Ray, moving: Any) -> Ray:
+    """Return a ray, given in a packet's frame, in the frame of a facet's mover."""
+    return ray_between(moving, mover_of_frame(packet.frame), mover_of(moving, objects.facets[prim].body), ray)
+
+
+@inlined
+def is_reached(objects: ObjectTables, packet: Any, prim: int, t: float, moving: Any) -> bool:
     """Tell whether a shadow packet reaches its goal when the query has found the facet `prim`.
 
     Parameters
@@ -136,41 +150,46 @@ def is_reached(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
         Facet; −1: none.
     t : float, mm
         Distance of the facet.
+    moving : Moving or None
     """
-    if prim < 0 or prim == packet.goal:
+    if prim < 0:
+        return False
+    ray = _ray_at(objects, packet, prim, ray_of(packet), moving)
+    if prim == packet.goal:
         # A line meets a round face on two sides; the point lies on one of them.
-        return prim >= 0 and (
-            not _is_bent(objects.rounds, prim)
-            or (_along_at(objects, packet, prim, t) > 0.0) == (_along_at(objects, packet, prim, packet.limit) > 0.0)
+        return not _is_bent(objects.rounds, prim) or (
+            (_along_at(objects, prim, ray, t) > 0.0) == (_along_at(objects, prim, ray, packet.limit) > 0.0)
         )
     # Next to an edge, float32 may find the neighbour of the right facet; round faces are found in float64.
     facet = objects.facets[prim]
     if facet.body != objects.facets[packet.goal].body or facet.size == 0.0:
         return False
-    return crosses(facet, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)[0] == np.inf
+    return crosses(facet, ray.x, ray.y, ray.z, ray.dx, ray.dy, ray.dz)[0] == np.inf
 
 
 @inlined
-def _along_at(objects: ObjectTables, packet: Any, prim: int, t: float) -> float:
-    """Return outward normal · direction at a packet's intersection with a facet."""
-    x, y, z = along(ray_of(packet), t)
+def _along_at(objects: ObjectTables, prim: int, ray: Ray, t: float) -> float:
+    """Return outward normal · direction at a ray's intersection with a facet."""
+    x, y, z = along(ray, t)
     nx, ny, nz = outward(objects, prim, x, y, z)
-    return nx * packet.dx + ny * packet.dy + nz * packet.dz
+    return nx * ray.dx + ny * ray.dy + nz * ray.dz
 
 
 @inlined
-def density_at(objects: ObjectTables, place: Place, normal: Place, prim: int, there: Place) -> float:
+def density_at(
+    objects: ObjectTables, place: Place, normal: Place, prim: int, there: Place, moving: Any, here: int
+) -> float:  # fmt: skip
     """Return the density, 1/mm², of `emitting_point` at a point of a facet.
 
     Parameters
     ----------
     objects : ObjectTables
-    place, normal
+    place, normal, moving, here
         As for `emitting_point`.
     prim : int
         Number of the facet.
     there : (3,) float, mm
-        Point of the facet, object frame.
+        Point of the facet.
     """
     emitters = objects.emitters
     first = emitters.first[prim]
@@ -179,7 +198,11 @@ def density_at(objects: ObjectTables, place: Place, normal: Place, prim: int, th
     piece = emitters.number[first + _piece_at(objects.rounds, objects, prim, there[0], there[1], there[2])]
     if len(emitters.nodes) == 0:
         return emitters.density[piece]
-    return chance_of_leaf(emitters, place, normal, piece) * emitters.density[piece]
+    root, chance = chance_of_tree(emitters.trees, emitters, place, normal, piece, moving, here)
+    own = mover_of(moving, objects.facets[prim].body)
+    at = point_between(moving, here, own, place[0], place[1], place[2])
+    facing = direction_between(moving, here, own, normal[0], normal[1], normal[2])
+    return chance * chance_of_leaf(emitters, root, at, facing, piece) * emitters.density[piece]
 
 
 @inlined
@@ -221,7 +244,7 @@ def _square_at(face: Any, level: int, x: float, y: float, z: float) -> int:
 
 @inlined
 def emitting_point(
-    objects: ObjectTables, place: Place, normal: Place, u: float, v: float
+    objects: ObjectTables, place: Place, normal: Place, u: float, v: float, moving: Any, here: int
 ) -> tuple[int, float, float, float, float]:  # fmt: skip
     """Return a random point of the emitters, drawn for a point that they may light.
 
@@ -229,21 +252,29 @@ def emitting_point(
     ----------
     objects : ObjectTables
     place, normal
-        As for `many_emitters.drawn_leaf`.
+        As for `many_emitters.drawn_leaf`, in the frame of the mover `here`.
     u, v : float
         Random numbers, uniform in [0, 1); close numbers give close points.
+    moving : Moving or None
+    here : int
 
     Returns
     -------
     prim : int
         Facet; −1: no emitter brings light.
     x, y, z : float, mm
+        In the frame of the facet's mover.
     density : float, 1/mm²
     """
     emitters = objects.emitters
     begin, end, chance = 0, len(emitters.until), 1.0
     if len(emitters.nodes) > 0:
-        leaf, chance, u = drawn_leaf(emitters, place, normal, u)
+        root, chance, u = drawn_tree(emitters.trees, emitters, place, normal, u, moving, here)
+        own = mover_of(moving, objects.facets[emitters.facet[emitters.nodes[root].begin]].body)
+        at = point_between(moving, here, own, place[0], place[1], place[2])
+        facing = direction_between(moving, here, own, normal[0], normal[1], normal[2])
+        leaf, within, u = drawn_leaf(emitters, root, at, facing, u)
+        chance *= within
         begin, end = emitters.nodes[leaf].begin, emitters.nodes[leaf].end
     if not chance > 0.0:
         return NO_SURFACE, 0.0, 0.0, 0.0, 0.0

@@ -11,10 +11,11 @@ import numpy as np
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.events.crossing import LIGHT_U, draw_two
+from lfmesh.transport.events.moving import direction_between, point_between
 from lfmesh.transport.lights.intensity import intensity
 from lfmesh.transport.lights.places import point_as_seen
 from lfmesh.transport.lights.shadow import Way
-from lfmesh.transport.packets.packet import TO_LAMP, Options
+from lfmesh.transport.packets.packet import TO_LAMP, Options, mover_of_frame
 from lfmesh.transport.tables.lights import MM2, Profiles
 from lfmesh.transport.tables.tables import ObjectTables
 
@@ -24,7 +25,8 @@ LIGHT_DIMENSIONS = 1 << 12
 
 @inlined
 def sample(
-    options: Options, objects: ObjectTables, packet: Any, number: int, place: tuple[float, float, float], nearby: bool
+    options: Options, objects: ObjectTables, packet: Any, number: int, place: tuple[float, float, float], nearby: bool,
+    moving: Any,
 ) -> Way:  # fmt: skip
     """Draw a ray from a point to a lamp, with the irradiance at the packet's wavelength.
 
@@ -36,15 +38,19 @@ def sample(
     number : int
         Number of the lamp.
     place : (3,) float, mm
-        The point, object frame.
+        The point, in the packet's frame.
     nearby : bool
         The point is in a medium, so it may be arbitrarily close to the lamp.
+    moving : Moving or None
     """
     light, (x, y, z) = objects.lamps.rows[number], place
+    here = mover_of_frame(packet.frame)
     u, v = 0.0, 0.0
     if light.size > 0.0:
         u, v = draw_two(options, packet, LIGHT_U + LIGHT_DIMENSIONS * number)
+    place = point_between(moving, here, light.mover, x, y, z)
     ux, uy, uz, reach, irradiance = illuminate(objects.lamps.profiles, light, place, u, v, nearby)
+    ux, uy, uz = direction_between(moving, light.mover, here, ux, uy, uz)
     irradiance *= objects.lamps.spectra[number, packet.colour]
     return Way(TO_LAMP, number, Ray(x, y, z, ux, uy, uz), reach, irradiance, 1.0)
 
@@ -60,7 +66,7 @@ def illuminate(
     profiles : Profiles
     light : LIGHT
     place : (3,) float, mm
-        Object frame.
+        In the frame of the light's mover.
     u, v : float
         Uniform in [0, 1); used if the light has a size.
     nearby : bool
@@ -95,9 +101,9 @@ def illuminate_from(
     light : LIGHT
         Not directional.
     place : (3,) float, mm
-        Point of the light, object frame.
+        Point of the light, in the frame of its mover.
     x, y, z : float, mm
-        The lit point, object frame.
+        The lit point, likewise.
     """
     lx, ly, lz = place
     ux, uy, uz = lx - x, ly - y, lz - z

@@ -6,7 +6,7 @@ lamp with a size is a point with its size added to h in quadrature. Near a lamp 
 irradiance grows as one over the distance from its spine, the segment along its middle; within two sizes of it that adds
 its own density. So the sum stays in a bounded ratio to the light of the lamp. It decides where samples go, not their
 weights. No distances are drawn behind a one-sided lamp. Directional light is constant along a line. In the tree of many
-lamps, a node far from the line counts as one lamp of its size.
+lamps, a node far from the line counts as one lamp of its size. The line is moved into the frame of each lamp's mover.
 """
 
 from typing import Any
@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.transport.events.moving import ray_between
+from lfmesh.transport.events.volume import Line
 from lfmesh.transport.lights.places import GRAIN
 from lfmesh.transport.tables.lights import Lamps
 
@@ -35,16 +37,13 @@ FAR = 2.0
 
 
 @kernel
-def passes_lamp(lamps: Lamps, colour: int, line: Ray, first: float, last: float, within: float) -> bool:
+def passes_lamp(lamps: Lamps, line: Line, first: float, last: float, within: float) -> bool:
     """Tell whether a part of a line comes near a lamp.
 
     Parameters
     ----------
     lamps : Lamps
-    colour : int
-        Number of the wavelength.
-    line : Ray
-        In the object frame.
+    line : Line
     first, last : float, mm
         Part of the line; the last may be inf.
     within : float, mm
@@ -53,15 +52,16 @@ def passes_lamp(lamps: Lamps, colour: int, line: Ray, first: float, last: float,
     number = 0
     while number < len(lamps.nodes):
         node = lamps.nodes[number]
-        power, s, h = _seen(lamps, number, colour, line)
-        begin, end = _lit(lamps, number, line, first, last)
+        ray = _ray_to(node, line)
+        power, s, h = _seen(lamps, number, line.colour, ray)
+        begin, end = _lit(lamps, number, ray, first, last)
         past, within2 = min(max(s, begin), end) - s, within * within
         if node.lamp < 0:
             # No lamp is nearer than the middle by more than the radius, whose square `h` adds to the distance.
             within2 = (within + node.radius) ** 2 + node.radius * node.radius
         elif _is_long(lamps.rows[node.lamp]):
             # The distance from the spine along the line is convex.
-            s, h, rise = _seen_from_spine(lamps.rows[node.lamp], line)
+            s, h, rise = _seen_from_spine(lamps.rows[node.lamp], ray)
             past = rise * (min(max(s, begin), end) - s)
         is_near = power > 0.0 and begin < end and h * h + past * past < within2
         if is_near and node.lamp >= 0:
@@ -71,43 +71,43 @@ def passes_lamp(lamps: Lamps, colour: int, line: Ray, first: float, last: float,
 
 
 @kernel
-def lamps_on_line(lamps: Lamps, colour: int, line: Ray, first: float, last: float) -> float:
+def lamps_on_line(lamps: Lamps, line: Line, first: float, last: float) -> float:
     """Return the integral of `density_by_angle` over a part of a line, W/(sr mm); 0 without lamps.
 
     Parameters
     ----------
-    lamps, colour, line, first, last
+    lamps, line, first, last
         As for `passes_lamp`.
     """
     whole, number = 0.0, _counted(lamps, 0, line)
     while number < len(lamps.nodes):
-        lamp = lamps.nodes[number].lamp
-        power, s, h = _seen(lamps, number, colour, line)
-        begin, end = _lit(lamps, number, line, first, last)
+        lamp, ray = lamps.nodes[number].lamp, _ray_to(lamps.nodes[number], line)
+        power, s, h = _seen(lamps, number, line.colour, ray)
+        begin, end = _lit(lamps, number, ray, first, last)
         if power > 0.0 and begin < end:
             whole += power * _angle(s, h, begin, end) / h
             if lamp >= 0 and _is_long(lamps.rows[lamp]):
-                whole += power * _by_spine(lamps.rows[lamp], line, begin, end)
+                whole += power * _by_spine(lamps.rows[lamp], ray, begin, end)
         number = _counted(lamps, lamps.nodes[number].skip, line)
     return whole
 
 
 @kernel
-def distance_by_angle(lamps: Lamps, colour: int, line: Ray, first: float, last: float, choice: float) -> float:
+def distance_by_angle(lamps: Lamps, line: Line, first: float, last: float, choice: float) -> float:
     """Draw a distance on a part of a line by `density_by_angle`.
 
     Parameters
     ----------
-    lamps, colour, line, first, last
+    lamps, line, first, last
         As for `passes_lamp`.
     choice : float
         Uniform between 0 and the integral.
     """
     t, number = first, _counted(lamps, 0, line)
     while number < len(lamps.nodes):
-        lamp = lamps.nodes[number].lamp
-        power, s, h = _seen(lamps, number, colour, line)
-        begin, end = _lit(lamps, number, line, first, last)
+        lamp, ray = lamps.nodes[number].lamp, _ray_to(lamps.nodes[number], line)
+        power, s, h = _seen(lamps, number, line.colour, ray)
+        begin, end = _lit(lamps, number, ray, first, last)
         number = _counted(lamps, lamps.nodes[number].skip, line)
         if power <= 0.0 or begin >= end:
             continue
@@ -118,35 +118,35 @@ def distance_by_angle(lamps: Lamps, colour: int, line: Ray, first: float, last: 
             break
         choice -= own
         if lamp >= 0 and _is_long(lamps.rows[lamp]):
-            own = power * _by_spine(lamps.rows[lamp], line, begin, end)
+            own = power * _by_spine(lamps.rows[lamp], ray, begin, end)
             if choice < own:
-                return _distance_by_spine(lamps.rows[lamp], line, begin, end, choice / own)
+                return _distance_by_spine(lamps.rows[lamp], ray, begin, end, choice / own)
             choice -= own
     return t
 
 
 @kernel
-def density_by_angle(lamps: Lamps, colour: int, line: Ray, t: float) -> float:
+def density_by_angle(lamps: Lamps, line: Line, t: float) -> float:
     """Return the unnormalised density of `distance_by_angle` at a distance on a line, W/(sr mm²).
 
     Parameters
     ----------
-    lamps, colour, line
+    lamps, line
         As for `passes_lamp`.
     t : float, mm
     """
     total, number = 0.0, _counted(lamps, 0, line)
     while number < len(lamps.nodes):
-        lamp = lamps.nodes[number].lamp
-        power, s, h = _seen(lamps, number, colour, line)
-        begin, end = _lit(lamps, number, line, -np.inf, np.inf)
+        lamp, ray = lamps.nodes[number].lamp, _ray_to(lamps.nodes[number], line)
+        power, s, h = _seen(lamps, number, line.colour, ray)
+        begin, end = _lit(lamps, number, ray, -np.inf, np.inf)
         if power > 0.0 and begin <= t <= end:
             total += power / (h * h + (t - s) * (t - s))
             if lamp >= 0 and _is_long(lamps.rows[lamp]):
                 light = lamps.rows[lamp]
-                first, last = _around(light, line, begin, end)
+                first, last = _around(light, ray, begin, end)
                 if first <= t <= last:
-                    s, h, rise = _seen_from_spine(light, line)
+                    s, h, rise = _seen_from_spine(light, ray)
                     total += power / (light.size * np.hypot(h, rise * (t - s)))
         number = _counted(lamps, lamps.nodes[number].skip, line)
     return total
@@ -159,7 +159,9 @@ def lit_part(light: Any, line: Ray, first: float, last: float) -> tuple[float, f
     Parameters
     ----------
     light : LIGHT
-    line, first, last
+    line : Ray
+        In the frame of the light's mover.
+    first, last : float, mm
         As for `passes_lamp`. If nothing is lit, first > last is returned.
     """
     # A cone of more than half a turn sends light backwards too.
@@ -190,13 +192,19 @@ def _angle(s: float, h: float, first: float, last: float) -> float:
 
 
 @inlined
-def _counted(lamps: Lamps, number: int, line: Ray) -> int:
+def _ray_to(node: Any, line: Line) -> Ray:
+    """Return the ray of a line in the frame of a node's mover."""
+    return ray_between(line.moving, line.mover, node.mover, line.ray)
+
+
+@inlined
+def _counted(lamps: Lamps, number: int, line: Line) -> int:
     """Return the next node, from a number on, that counts as one lamp: a lamp, or lamps far from the line."""
     while number < len(lamps.nodes):
         node = lamps.nodes[number]
         if node.lamp >= 0 or not node.placed:
             break
-        _, h2 = _past(node.middle, line)
+        _, h2 = _past(node.middle, _ray_to(node, line))
         if h2 > (FAR * node.radius) ** 2:
             break
         number += 1

@@ -11,6 +11,8 @@ point, or beyond the light of all lamps. For a single point lamp or parallel lig
 
 Packets sent past lamps, into the light scattered near them, follow another law: power over distance. A node counts as
 one lamp if its lamps are about equally far; otherwise it is opened.
+
+In a scene with motion each mover has trees of its own, and a point is moved into the frame of each.
 """
 
 from typing import Any
@@ -20,21 +22,25 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import LIGHT_U, draw_two
+from lfmesh.transport.events.moving import direction_between, point_between
 from lfmesh.transport.lights.lamps import LIGHT_DIMENSIONS, illuminate_from
-from lfmesh.transport.packets.packet import Options
+from lfmesh.transport.packets.packet import MOST_MOVERS, Options, mover_of_frame
 from lfmesh.transport.tables.lights import MM2, Lamps
 
 OF_MANY = 3
 """Largest number of lamps that a point samples if there are more than `MOST_ASKED`. More would cost more time than they
 save, as other causes make the samples of a pixel differ too."""
 
-MOST_NODES = 96
-"""Largest number of nodes that a point opens.
+MOST_OPENED = 96
+"""Number of open nodes at which a point opens no more.
 
 Only points among lamps need that many: there, nodes hold near and far lamps, and bounds say little about the nearest.
 With lamps from 1 mm to 100 m away, the light of a point has a standard deviation of 30 times its mean with 12 nodes,
 and 0.6 with 96. Most other points open some ten.
 """
+
+MOST_NODES = MOST_OPENED + 2 * (MOST_MOVERS + 1)
+"""Room for open nodes: each mover has a tree of lamps and one of parallel light."""
 
 SETTLED = 0.5
 """Uncertainty of a node's light, over the light of all nodes, up to which it is not opened."""
@@ -67,7 +73,7 @@ Place = tuple[float, float, float]
 
 @kernel
 def lamps_to_ask(
-    options: Options, lamps: Lamps, packet: Any, place: Place, normal: Place, asked: NDArray[np.void]
+    options: Options, lamps: Lamps, packet: Any, place: Place, normal: Place, asked: NDArray[np.void], moving: Any
 ) -> int:  # fmt: skip
     """Choose the lamps that a point samples; return their number.
 
@@ -78,18 +84,20 @@ def lamps_to_ask(
     packet : PACKET
         Source of the random numbers.
     place : (3,) float, mm
-        The point, object frame.
+        The point, in the packet's frame.
     normal : (3,) float
         Unit normal on the lit side; `NO_NORMAL` if all sides are lit.
     asked : (MOST_NODES,) ASKED
         Output: `lamp` and `share` of the lamps to sample.
+    moving : Moving or None
     """
     if len(lamps.nodes) == len(lamps.rows):
         for number in range(len(lamps.rows)):
             asked[number].lamp, asked[number].share = number, 1.0
         return len(lamps.rows)
     colour, dimension = packet.colour, LIGHT_U + LIGHT_DIMENSIONS * (len(lamps.rows) + 1)
-    count, kept = _opened(lamps, colour, place, normal, SETTLED, asked), 0
+    here = mover_of_frame(packet.frame)
+    count, kept = _opened(lamps, colour, place, normal, asked, moving, here), 0
     if count > OF_MANY:
         u, _ = draw_two(options, packet, dimension)
         count = _thinned(asked, count, OF_MANY, u)
@@ -97,7 +105,8 @@ def lamps_to_ask(
         number, share, within = asked[k].node, asked[k].share, 1.0
         if lamps.nodes[number].lamp < 0:
             u, _ = draw_two(options, packet, dimension + LIGHT_DIMENSIONS * (k + 1))
-            number, within = drawn_below(lamps, number, colour, place, normal, u, False)
+            at, facing = _seen_from(moving, here, lamps.nodes[number].mover, place, normal)
+            number, within = drawn_below(lamps, number, colour, at, facing, u, False)
         if within > 0.0:
             asked[kept].lamp, asked[kept].share = lamps.nodes[number].lamp, share / within
             kept += 1
@@ -118,7 +127,7 @@ def drawn_below(
     colour : int
         Number of the wavelength.
     place, normal
-        As for `lamps_to_ask`.
+        As for `lamps_to_ask`, in the frame of the node's mover.
     u : float
         Random number, uniform in [0, 1).
     past : bool
@@ -345,29 +354,38 @@ def widened(cosine: float, cos_more: float, sin_more: float) -> tuple[float, flo
 
 @inlined
 def _opened(
-    lamps: Lamps, colour: int, place: Place, normal: Place, settled: float, asked: NDArray[np.void]
+    lamps: Lamps, colour: int, place: Place, normal: Place, asked: NDArray[np.void], moving: Any, here: int
 ) -> int:  # fmt: skip
-    """Open nodes for a point and write them with their estimates; return their number."""
+    """Open nodes for a point in the frame of the mover `here`, and write their estimates; return their number."""
     count, root = 0, 0
     while root < len(lamps.nodes):
-        count = _added(lamps, root, colour, place, normal, asked, count)
+        at, facing = _seen_from(moving, here, lamps.nodes[root].mover, place, normal)
+        count = _added(lamps, root, colour, at, facing, asked, count)
         root = lamps.nodes[root].skip
-    while 0 < count < len(asked):
+    while 0 < count < MOST_OPENED:
         widest, whole = 0, 0.0
         for k in range(count):
             whole += asked[k].estimate
             if asked[k].doubt > asked[widest].doubt:
                 widest = k
-        if asked[widest].doubt <= settled * whole:
+        if asked[widest].doubt <= SETTLED * whole:
             break
         node, count = asked[widest].node, count - 1
         asked[widest].node = asked[count].node
         asked[widest].estimate, asked[widest].doubt = asked[count].estimate, asked[count].doubt
-        count = _added(lamps, node + 1, colour, place, normal, asked, count)
-        count = _added(lamps, lamps.nodes[node + 1].skip, colour, place, normal, asked, count)
+        at, facing = _seen_from(moving, here, lamps.nodes[node].mover, place, normal)
+        count = _added(lamps, node + 1, colour, at, facing, asked, count)
+        count = _added(lamps, lamps.nodes[node + 1].skip, colour, at, facing, asked, count)
     for k in range(count):
         asked[k].share = 1.0
     return count
+
+
+@inlined
+def _seen_from(moving: Any, here: int, there: int, place: Place, normal: Place) -> tuple[Place, Place]:
+    """Return a point and its normal moved from the frame of one mover into that of another."""
+    at = point_between(moving, here, there, place[0], place[1], place[2])
+    return at, direction_between(moving, here, there, normal[0], normal[1], normal[2])
 
 
 @inlined

@@ -14,10 +14,12 @@ from lfmesh.geometry.ray import Ray, ray_of
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.search import drawn_by
 from lfmesh.transport.events.bodies import RANK, bodies_round
-from lfmesh.transport.events.bounds import own_ray, slab
+from lfmesh.transport.events.bounds import slab
 from lfmesh.transport.events.crossing import EMITTER_U, draw_two
+from lfmesh.transport.events.moving import mover_of_medium, point_between
+from lfmesh.transport.events.volume import Line, ray_in_medium
 from lfmesh.transport.lights.shadow import Way
-from lfmesh.transport.packets.packet import NO_SURFACE, TO_MEDIA, Options
+from lfmesh.transport.packets.packet import NO_SURFACE, TO_MEDIA, Options, mover_of_frame
 from lfmesh.transport.packets.random import uniform
 from lfmesh.transport.tables.volumes import Volumes
 
@@ -25,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def sample(volumes: Volumes, options: Options, packet: Any, key: np.uint64) -> Way:
+def sample(volumes: Volumes, options: Options, packet: Any, key: np.uint64, moving: Any) -> Way:
     """Draw a ray from a packet's point towards a random point of the emitting media in its body, or in air.
 
     Parameters
@@ -35,28 +37,31 @@ def sample(volumes: Volumes, options: Options, packet: Any, key: np.uint64) -> W
     packet : PACKET
     key : uint64
         For the random numbers.
+    moving : Moving or None
     """
-    place, ray, drawn = bodies_round(packet) & RANK, ray_of(packet), 0.0
+    inside, ray, drawn = bodies_round(packet) & RANK, ray_of(packet), 0.0
+    here = mover_of_frame(packet.frame)
     choice, u = draw_two(options, packet, EMITTER_U)
-    found, x, y, z = point_of_media(volumes, place, ray, (choice, u, uniform(key, 0), uniform(key, 1)))
+    line = Line(ray, inside, packet.colour, moving, here)
+    found, x, y, z = point_of_media(volumes, line, (choice, u, uniform(key, 0), uniform(key, 1)))
     ux, uy, uz = x - packet.x, y - packet.y, z - packet.z
     distance = np.sqrt(ux * ux + uy * uy + uz * uz)
     if found and distance > 0.0:
         ray = Ray(packet.x, packet.y, packet.z, ux / distance, uy / distance, uz / distance)
-        drawn = density(volumes, place, ray)
+        drawn = density(volumes, Line(ray, inside, packet.colour, moving, here))
     return Way(TO_MEDIA, NO_SURFACE, ray, np.inf, 1.0, drawn)
 
 
 @inlined
-def _light_drawn(volumes: Volumes, number: int, place: int, ray: Ray) -> float:
-    """Return the weight of a medium when drawn from the start of a ray; 0: elsewhere, dark, or unbounded.
+def _light_drawn(volumes: Volumes, number: int, line: Line) -> float:
+    """Return the weight of a medium when drawn from the start of a line; 0: elsewhere, dark, or unbounded.
 
     Approximates the medium's light: power over the mean squared distance of its parts.
     """
     row, power = volumes.rows[number], volumes.powers[number]
-    if row.inside != place or not 0.0 < power < np.inf:
+    if row.inside != line.place or not 0.0 < power < np.inf:
         return 0.0
-    own, d2 = own_ray(row, ray), 0.0
+    own, d2 = ray_in_medium(volumes, number, line), 0.0
     for axis in range(3):
         low, high, at = row.low[axis], row.high[axis], (own.x, own.y, own.z)[axis]
         d2 += (at - 0.5 * (low + high)) ** 2 + (high - low) ** 2 / 12.0
@@ -65,16 +70,14 @@ def _light_drawn(volumes: Volumes, number: int, place: int, ray: Ray) -> float:
 
 @kernel
 def point_of_media(
-    volumes: Volumes, place: int, ray: Ray, numbers: tuple[float, float, float, float]
+    volumes: Volumes, line: Line, numbers: tuple[float, float, float, float]
 ) -> tuple[bool, float, float, float]:  # fmt: skip
-    """Return a random point of the emitting media in a body, or in air, object frame; False: none.
+    """Return a random point of the emitting media in a line's body, or in air, in the line's frame; False: none.
 
     Parameters
     ----------
     volumes : Volumes
-    place : int
-        Rank of the body; 0: air.
-    ray : Ray
+    line : Line
         Starts at the lit point; its direction is not used.
     numbers : (4,) float
         Uniform in [0, 1).
@@ -82,38 +85,36 @@ def point_of_media(
     choice, u, v, w = numbers
     whole = 0.0
     for number in range(len(volumes.rows)):
-        whole += _light_drawn(volumes, number, place, ray)
+        whole += _light_drawn(volumes, number, line)
     if whole <= 0.0:
         return False, 0.0, 0.0, 0.0
     rest, drawn, share = choice * whole, 0, 0.0
     for number in range(len(volumes.rows)):
-        light = _light_drawn(volumes, number, place, ray)
+        light = _light_drawn(volumes, number, line)
         if light > 0.0 and rest >= 0.0:
             # The remainder of the number is a new random number.
             drawn, share = number, min(rest / light, 1.0)
         rest -= light
     x, y, z, _ = drawn_point(volumes, drawn, share, u, v, w)
+    x, y, z = point_between(line.moving, mover_of_medium(line.moving, drawn), line.mover, x, y, z)
     return True, x, y, z
 
 
 @kernel
-def density(volumes: Volumes, place: int, ray: Ray) -> float:
-    """Return the density, 1/sr, of a ray's direction among directions to `point_of_media`.
+def density(volumes: Volumes, line: Line) -> float:
+    """Return the density, 1/sr, of a line's direction among directions to `point_of_media`.
 
     Parameters
     ----------
     volumes : Volumes
-    place : int
-        As for `point_of_media`.
-    ray : Ray
-        In the object frame.
+    line : Line
     """
     whole, total = 0.0, 0.0
     for number in range(len(volumes.rows)):
-        light = _light_drawn(volumes, number, place, ray)
+        light = _light_drawn(volumes, number, line)
         if light > 0.0:
             whole += light
-            total += light * _density_in(volumes, number, own_ray(volumes.rows[number], ray))
+            total += light * _density_in(volumes, number, ray_in_medium(volumes, number, line))
     return total / whole if whole > 0.0 else 0.0
 
 
@@ -176,7 +177,7 @@ def _at_voxel(row: Any, axis: int, o: float, d: float, t: float) -> tuple[int, f
 def drawn_point(
     volumes: Volumes, number: int, choice: float, u: float, v: float, w: float
 ) -> tuple[float, float, float, float]:
-    """Return a random point of a medium's box, object frame, and its density, 1/mm³.
+    """Return a random point of a medium's box, in the frame of its mover, and its density, 1/mm³.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ class Way(NamedTuple):
     goal : int
         Number of the lamp or of the emitting facet.
     ray : Ray
-        From the point, in the object frame.
+        From the point, in the packet's frame.
     reach : float, mm
         Distance of a lamp, or of a point of a facet; inf for light all along the ray.
     value : float

@@ -256,9 +256,10 @@ def _along_facet(facet: Any, face: RoughFace) -> tuple[float, float, float]:
 def _ask_lamps_at_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any, face: RoughFace) -> None:
     """Send shadow packets to lamps that a rough facet of glass sees through air, on either side."""
     objects, x, y, z, asked = space.objects, face.x, face.y, face.z, space.flow.asked
-    for k in range(lamps_to_ask(space.options, objects.lamps, packet, (x, y, z), NO_NORMAL, asked)):
+    moving = space.flow.moving
+    for k in range(lamps_to_ask(space.options, objects.lamps, packet, (x, y, z), NO_NORMAL, asked, moving)):
         lamp = asked[k].lamp
-        way = sample_lamp(space.options, objects, packet, lamp, (x, y, z), False)
+        way = sample_lamp(space.options, objects, packet, lamp, (x, y, z), False, moving)
         ux, uy, uz = way.ray.dx, way.ray.dy, way.ray.dz
         if way.value <= 0.0:
             continue

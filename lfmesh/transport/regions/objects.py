@@ -324,7 +324,9 @@ def _follow_shadow(space: ObjectSpace, lens: LensTables, packet: Any, met: Met) 
     elif packet.light == TO_FACET:
         reach = met.t
         # A scattered packet that meets the lens first enters it with its full weight.
-        if not is_reached(objects, packet, met.prim, met.t) or _enters_lens(space.frames, lens, packet, reach):
+        if not is_reached(objects, packet, met.prim, met.t, space.flow.moving) or _enters_lens(
+            space.frames, lens, packet, reach
+        ):
             return
         if bends_before(objects.fields, packet, reach):
             return

@@ -150,7 +150,8 @@ def _gather(space: ObjectSpace, packet: Any, point: Point, scatters: bool) -> No
     if lit:
         share = 1.0
         if has_asked(packet):
-            share = share_of_scattered(packet, density_to_facet(objects, packet, point.prim, point.x, point.y, point.z))
+            asked = density_to_facet(objects, packet, point.prim, point.x, point.y, point.z, flow.moving)
+            share = share_of_scattered(packet, asked)
         deposit(options, flow, packet.source, packet.colour, packet.weight * share * radiance)
     if scatters:
         packet.facet = point.prim

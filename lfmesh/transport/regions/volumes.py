@@ -180,7 +180,7 @@ def cross_media(space: ObjectSpace, packet: Any, reach: float) -> None:
         index2 = index * index * squared_index_of_emission(objects.fields, packet)
         share = 1.0
         if has_asked(packet):
-            share = share_of_scattered(packet, density_to_media(volumes, line.place, line.ray))
+            share = share_of_scattered(packet, density_to_media(volumes, line))
         deposit(options, flow, packet.source, colour, weight * share * passage.light / index2)
     if passage.scattered <= 0.0 or not volumes.scatters:
         return

@@ -36,8 +36,15 @@ PROBES = 2
 """Further divisions n of a piece: the mean of its texture is taken over the centres of the 4ⁿ parts."""
 
 
-def emitter_table(objects: ObjectTables) -> Emitters:
-    """Return the table of emitting facets, empty if there are none; `objects.emitters` is not read."""
+def emitter_table(objects: ObjectTables, movers: NDArray[np.int64] | None = None) -> Emitters:
+    """Return the table of emitting facets, empty if there are none; `objects.emitters` is not read.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    movers : (targets + 1,) int64, optional
+        Mover of each target and of the housing, in a scene with motion; each mover gets a tree of its own.
+    """
     facets = objects.facets
     emissions = mean_emissions(objects).mean(axis=2)
     if not emissions.any():
@@ -60,11 +67,12 @@ def emitter_table(objects: ObjectTables) -> Emitters:
     first[bright], levels[bright] = np.cumsum(count) - count, level
     share = power / power.sum()
     place = _all_places(level, bright < _first_round(objects))
-    order, nodes = _tree(objects, facet, place, share)
+    order, nodes, trees = _trees(objects, facet, place, share, movers)
     number = np.empty(len(order), np.int64)
     number[order] = np.arange(len(order))
     until, chance = _in_leaves(share[order], nodes)
-    return Emitters(facet[order], until, nodes, place[order], chance / piece_area[order], number, first, levels)
+    density = chance / piece_area[order]
+    return Emitters(facet[order], until, nodes, place[order], density, number, first, levels, trees)
 
 
 def _all_places(level: NDArray[np.int64], triangles: NDArray[np.bool_]) -> Array:
@@ -90,15 +98,36 @@ def _in_leaves(share: Array, nodes: NDArray[np.void]) -> tuple[Array, Array]:
     return until, chance
 
 
-def _tree(
-    objects: ObjectTables, facet: NDArray[np.int64], place: Array, share: Array
-) -> tuple[NDArray[np.int64], NDArray[np.void]]:  # fmt: skip
-    """Return the order of pieces in the leaves of their tree, (n,), and its nodes, empty if facets are few.
+def _trees(
+    objects: ObjectTables, facet: NDArray[np.int64], place: Array, share: Array, movers: NDArray[np.int64] | None
+) -> tuple[NDArray[np.int64], NDArray[np.void], NDArray[np.int64] | None]:  # fmt: skip
+    """Return the order of pieces in the leaves of their trees, (n,), the nodes, and `Emitters.trees`.
 
-    Each piece has a facet, a place (see `Emitters`) and a share of the power.
+    Each piece has a facet, a place (see `Emitters`) and a share of the power. Without movers there is one tree. If
+    facets are few there are no nodes.
     """
     if len(np.unique(facet)) <= FEW:
-        return np.arange(len(facet)), np.zeros(0, EMITTER_NODE)
+        return np.arange(len(facet)), np.zeros(0, EMITTER_NODE), None
+    bounds = _bounds(objects, facet, place, share)
+    if movers is None:
+        return *emitter_tree(bounds), None
+    of_piece = movers[objects.facets["body"][facet]]
+    orders, forest, trees, count = [], [], [], 0
+    for mover in np.unique(of_piece):
+        own = np.flatnonzero(of_piece == mover)
+        order, nodes = emitter_tree(Bounds(*(column[own] for column in bounds)))
+        trees.append((count, mover))
+        nodes["right"][nodes["right"] > 0] += count
+        for name in ("begin", "end"):
+            nodes[name] += sum(map(len, orders))
+        count += len(nodes)
+        orders.append(own[order])
+        forest.append(nodes)
+    return np.concatenate(orders), np.concatenate(forest), np.array(trees, np.int64)
+
+
+def _bounds(objects: ObjectTables, facet: NDArray[np.int64], place: Array, share: Array) -> Bounds:
+    """Return the bounds of pieces; the parameters are as for `_trees`."""
     corners = objects.facets["corners"][facet]
     low, high = np.full((2, len(facet), 3), [[[np.inf]], [[-np.inf]]])
     for s, t in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
@@ -110,7 +139,7 @@ def _tree(
     bounds = Bounds(low, high, normal, spread, both, share)
     if objects.rounds is not None:
         _bound_round(objects.rounds, facet, place, bounds)
-    return emitter_tree(bounds)
+    return bounds
 
 
 @kernel

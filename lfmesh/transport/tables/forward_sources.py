@@ -1,4 +1,8 @@
-"""Sources of forward packets: lamps, emitting facets and media, and the sphere at which lamps are aimed."""
+"""Sources of forward packets: lamps, emitting facets and media, and the sphere at which lamps are aimed.
+
+The sphere rests relative to the camera and holds its goals throughout the exposure. A lamp that moves gets packets by
+its mean power towards the sphere.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +15,8 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME
 from lfmesh.transport.tables.bending_fields import boxes_of_fields
 from lfmesh.transport.tables.emitting_facets import mean_emissions
 from lfmesh.transport.tables.lights import MM2, power_towards
+from lfmesh.transport.tables.motions import STILL, Motions
+from lfmesh.transport.tables.swept import swept
 from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, OPAQUE, ROUGH, SOURCE, LensTables, ObjectTables
 from lfmesh.transport.tables.volumes import Volumes
 
@@ -18,7 +24,9 @@ Entry = tuple[int, int, float, float]
 """Light (or −1), facet (or −1), power towards the sphere aimed at, whole power, W."""
 
 
-def sources_of(scene: Scene, objects: ObjectTables, mesh: Mesh) -> NDArray[np.void]:
+def sources_of(
+    scene: Scene, objects: ObjectTables, mesh: Mesh, motions: Motions | None = None
+) -> NDArray[np.void]:  # fmt: skip
     """Return the sources of a scene, (n,) SOURCE.
 
     Parameters
@@ -28,17 +36,18 @@ def sources_of(scene: Scene, objects: ObjectTables, mesh: Mesh) -> NDArray[np.vo
         Tables without the sources.
     mesh : Mesh
         Mesh of targets and housing, object frame.
+    motions : Motions, optional
 
     Raises
     ------
     SceneError
         The forward method would have to start light throughout an unbounded medium.
     """
-    entries = [*_lamps(objects), *_emitting_facets(objects, mesh), *_emitting_volumes(scene, objects.volumes)]
+    entries = [*_lamps(objects, motions), *_emitting_facets(objects, mesh), *_emitting_volumes(scene, objects.volumes)]
     return _sources(entries)
 
 
-def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
+def aimed_at_glass(objects: ObjectTables, motions: Motions | None = None) -> ObjectTables | None:
     """Return tables that start forward packets from lamps alone, aimed at the glass.
 
     Media that bend light count as glass. None if no packet is needed: without lamps, without smooth glass, or without
@@ -51,10 +60,12 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
     fields = boxes_of_fields(objects.fields).reshape(-1, 3)
     if not len(objects.lamps.rows) or not (facets.any() or len(fields)) or (black and not in_fog):
         return None
-    return _aimed_at(objects, facets, fields)
+    return _aimed_at(objects, facets, fields, motions)
 
 
-def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> ObjectTables | None:
+def aimed_at_camera(
+    objects: ObjectTables, lens: LensTables, frames: Array, motions: Motions | None = None
+) -> ObjectTables | None:
     """Return tables that start forward packets from lamps alone, aimed at the front of the lens.
 
     Smooth glass and media in object space may bend light into the lens, so they are aimed at too. None without lamps.
@@ -65,6 +76,7 @@ def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> O
     lens : LensTables
     frames : (6, 6, 3, 4) float64
         See `frame_table`.
+    motions : Motions, optional
     """
     if not len(objects.lamps.rows):
         return None
@@ -72,7 +84,7 @@ def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> O
     move = frames[CAMERA_FRAME, OBJECT_FRAME]
     front = front @ move[:, :3].T + move[:, 3]
     points = np.concatenate([front, boxes_of_fields(objects.fields).reshape(-1, 3)])
-    return _aimed_at(objects, _glass(objects)[2], points)
+    return _aimed_at(objects, _glass(objects)[2], points, motions)
 
 
 def _glass(objects: ObjectTables) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
@@ -86,8 +98,43 @@ def _glass(objects: ObjectTables) -> tuple[NDArray[np.bool_], NDArray[np.bool_],
     return glass, rough, np.append(glass & ~rough, False)[objects.facets["body"]]
 
 
-def _aimed_at(objects: ObjectTables, facets: NDArray[np.bool_], points: Array) -> ObjectTables:
-    """Return tables with only lamps as sources, aimed at a sphere round some facets and points, mm, object frame."""
+def _aimed_at(
+    objects: ObjectTables, facets: NDArray[np.bool_], points: Array, motions: Motions | None
+) -> ObjectTables:  # fmt: skip
+    """Return tables with only lamps as sources, aimed at a sphere round some facets and points, mm, object frame.
+
+    The points rest relative to the camera.
+    """
+    if motions is None:
+        middle, radius = _sphere_round(objects, facets, points)
+    else:
+        middle, radius = _sphere_round_paths(objects, facets, points, motions)
+    objects = objects._replace(lit_middle=middle, lit_radius=radius)
+    return objects._replace(sources=_sources(_lamps(objects, motions)))
+
+
+def _sphere_round_paths(
+    objects: ObjectTables, facets: NDArray[np.bool_], points: Array, motions: Motions
+) -> tuple[Array, float]:
+    """Return centre and radius of a sphere that holds facets and points throughout the exposure, mm, object frame."""
+    movers = motions.of_target[objects.facets["body"]]
+    centres, radii = [np.zeros((0, 3))], [np.zeros(0)]
+    for mover in np.unique(np.append(movers[facets], STILL)):
+        own, also = facets & (movers == mover), points[: len(points) if mover == STILL else 0]
+        if not own.any() and not len(also):
+            continue
+        middle, radius = _sphere_round(objects, own, also)
+        # A turn about the centre of its sphere does not move a body out of it.
+        places, margin = swept(motions, int(mover), middle[None])
+        centres.append(places)
+        radii.append(np.full(len(places), radius + margin))
+    places, reach = np.concatenate(centres), np.concatenate(radii)
+    middle = 0.5 * ((places - reach[:, None]).min(axis=0) + (places + reach[:, None]).max(axis=0))
+    return middle, float((np.linalg.norm(places - middle, axis=1) + reach).max())
+
+
+def _sphere_round(objects: ObjectTables, facets: NDArray[np.bool_], points: Array) -> tuple[Array, float]:
+    """Return centre and radius of a sphere round some facets and points at t = 0, mm, object frame."""
     met = facets if objects.rounds is None else facets[: objects.rounds.first]
     ends = [points, objects.facets["corners"][: len(met)][met].reshape(-1, 3)]
     faces = np.zeros(0, ROUND) if objects.rounds is None else objects.rounds.faces[facets[objects.rounds.first :]]
@@ -97,15 +144,28 @@ def _aimed_at(objects: ObjectTables, facets: NDArray[np.bool_], points: Array) -
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     reach = np.where(faces["kind"] == WALL, np.hypot(faces["radius"], faces["half"]), faces["radius"])
     far = np.linalg.norm(faces["centre"] - middle, axis=1) + reach
-    radius = max(float(each.max(initial=0.0)) for each in (np.linalg.norm(np.vstack(ends) - middle, axis=1), far))
-    objects = objects._replace(lit_middle=middle, lit_radius=radius)
-    return objects._replace(sources=_sources(_lamps(objects)))
+    return middle, max(float(each.max(initial=0.0)) for each in (np.linalg.norm(np.vstack(ends) - middle, axis=1), far))
 
 
-def _lamps(objects: ObjectTables) -> list[Entry]:
+def _lamps(objects: ObjectTables, motions: Motions | None) -> list[Entry]:
     """Return the sources of the lights: power towards the sphere aimed at, and whole power."""
     middle, radius = objects.lit_middle, objects.lit_radius
-    return [(i, -1, *power_towards(light, middle, radius)) for i, light in enumerate(objects.lamps.rows)]
+    entries = []
+    for number, light in enumerate(objects.lamps.rows):
+        towards, whole = power_towards(light, middle, radius)
+        if light["placed"] and light["mover"] != STILL:
+            towards = _mean_towards(light, middle, radius, motions)
+        entries.append((number, -1, towards, whole))
+    return entries
+
+
+def _mean_towards(light: np.void, middle: Array, radius: float, motions: Motions | None) -> float:
+    """Return the mean over places on a lamp's path of the bound of its power towards the sphere, W."""
+    moved, found = light.copy(), []
+    for place in swept(motions, int(light["mover"]), light["position"][None])[0]:
+        moved["position"] = place
+        found.append(power_towards(moved, middle, radius)[0])
+    return float(np.mean(found))
 
 
 def _emitting_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:

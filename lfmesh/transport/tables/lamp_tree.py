@@ -4,7 +4,8 @@ A node bounds the places, directions and power of the lamps below it, as in pbrt
 Humphreys, Physically Based Rendering, 4th edition, 12.6.3). It is split where the sum over both parts of power · solid
 angle of the light · squared extent is least (Conty Estevez & Kulla, Importance sampling of many lights with adaptive
 tree splitting, HPG 2018). Splits by place and by direction are tried, so lamps in one place are split by direction.
-Parallel light has its own tree, after the tree of the lamps.
+Parallel light has its own tree, after the tree of the lamps. Lamps of each mover have trees of their own, whose bounds
+hold in the frame of the mover.
 
 A few lamps are all asked from each point, and the tree is a plain list.
 """
@@ -33,6 +34,7 @@ LAMP_NODE = np.dtype(
         ("per_sr", "f8"),  # 1/sr, mean intensity within that angle over the power; for fading lamps, along the axis
         ("fades", "?"),  # the intensity of all lamps falls as the cosine of the angle from their axes
         ("placed", "?"),  # lamps; else parallel light
+        ("mover", "i8"),  # mover of all lamps; see `tables.motions`
         ("lamp", "i8"),  # number of the only lamp; −1: several, in two parts
         ("skip", "i8"),  # node after all nodes below; the first part is the next node, and its `skip` is the second
     ]
@@ -82,11 +84,14 @@ def lamp_tree(rows: NDArray[np.void], powers: Array) -> tuple[NDArray[np.void], 
     if len(rows) <= MOST_ASKED:
         roots = [np.array([number]) for number in range(len(rows))]
     else:
-        roots = [some for some in map(np.flatnonzero, (rows["placed"], ~rows["placed"])) if len(some)]
+        movers, placed = rows["mover"], rows["placed"]
+        of_movers = [(movers == mover) & kind for mover in np.unique(movers) for kind in (placed, ~placed)]
+        roots = [some for some in map(np.flatnonzero, of_movers) if len(some)]
     nodes = np.zeros(sum(2 * len(some) - 1 for some in roots), LAMP_NODE)
     power, leaf, first = np.zeros((len(nodes), powers.shape[1])), np.zeros(len(rows), np.int64), 0
     for some in roots:
         _grow(facts, some, first, nodes, np.zeros((len(some) + 1, 3), np.int64), np.zeros((BINS, COUNT + 1)))
+        nodes["mover"][first : first + 2 * len(some) - 1] = rows["mover"][some[0]]
         first += 2 * len(some) - 1
     _add_up(nodes, powers, power, leaf)
     return nodes, power, leaf

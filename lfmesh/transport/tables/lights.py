@@ -40,6 +40,7 @@ LIGHT = np.dtype(
         ("inner", "f8"),  # CONE: 1 − cos of the angle at which the soft edge begins
         ("outer", "f8"),  # 1 − cos of the angle from the axis beyond which nothing shines; 2: all round
         ("profile", "i8"),  # PROFILED: number of the profile
+        ("mover", "i8"),  # see `tables.motions`; the row holds in the frame of the mover
         ("placed", "?"),  # it has a position; else it is parallel light
         ("fades", "?"),  # its intensity falls as the cosine of the angle from the axis
     ]
@@ -78,7 +79,7 @@ class Lamps(NamedTuple):
 
 
 def light_tables(scene: Scene, to_object: Array, lines: Lines) -> Lamps:
-    """Return the lights in the object frame.
+    """Return the lights in the object frame, at t = 0.
 
     Parameters
     ----------
@@ -172,6 +173,20 @@ def _profile_tables(profiles: list[LightProfile]) -> Profiles:
         first, value = first + v + h, value + h * v
     table = np.array(rows, dtype=np.int64).reshape(-1, 5)
     return Profiles(table, np.concatenate(angles), np.concatenate(intensity), np.concatenate(until))
+
+
+def with_movers(lamps: Lamps, movers: NDArray[np.int64]) -> Lamps:
+    """Return the lights with their movers, each mover with a tree of its own.
+
+    Parameters
+    ----------
+    lamps : Lamps
+    movers : (lamps,) int64
+    """
+    rows = lamps.rows.copy()
+    rows["mover"] = movers
+    nodes, power, leaf = lamp_tree(rows, rows["power"][:, None] * lamps.spectra)
+    return lamps._replace(rows=rows, nodes=nodes, power=power, leaf=leaf)
 
 
 def power_towards(light: Any, middle: Array, radius: float) -> tuple[float, float]:

@@ -11,12 +11,13 @@ from lfmesh.geometry.lens.orientation import image_inverts
 from lfmesh.geometry.meshes.mesh import Mesh
 from lfmesh.geometry.motions import motions_of
 from lfmesh.geometry.objects.targets import TargetMesh
-from lfmesh.geometry.rigid_motion import pose_at, resting, sweep
+from lfmesh.geometry.rigid_motion import resting
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MOST_MOVERS, OBJECT_FRAME, WORLD_FRAME
-from lfmesh.transport.tables.forward_sources import sources_of
 from lfmesh.transport.tables.motions import STILL, Motions
-from lfmesh.transport.tables.tables import NOTHING_NEAR_LAMPS, ObjectTables
+from lfmesh.transport.tables.moving_lights import with_moving_lights
+from lfmesh.transport.tables.swept import box_round, reach_mm
+from lfmesh.transport.tables.tables import ObjectTables
 from lfmesh.transport.tables.volumes import IN_FRONT, Volumes, corners_of
 
 Array = NDArray[np.float64]
@@ -153,62 +154,6 @@ def _sphere_round(points: Array) -> Array:
     return np.append(centre, ROOM * float(np.linalg.norm(points - centre, axis=1).max()))
 
 
-def swept(motions: Motions | None, mover: int, points: Array) -> tuple[Array, float]:
-    """Return places of points of a mover during the exposure, relative to the camera, and the margin of `sweep`.
-
-    Parameters
-    ----------
-    motions : Motions or None
-        None: nothing moves.
-    mover : int
-    points : (n, 3) float64, mm
-        Object frame at t = 0.
-
-    Returns
-    -------
-    places : (m, 3) float64, mm
-        Object frame.
-    margin_mm : float
-    """
-    if motions is None or mover == STILL or not len(points):
-        return points, 0.0
-    camera, own = (motions.segments[motions.first[each] : motions.first[each + 1]] for each in (STILL, mover))
-    places, margin = sweep(own, points, 0.0, motions.end_s, camera if motions.camera_moves else None)
-    return places.reshape(-1, 3), margin
-
-
-def reach_mm(motions: Motions | None, mover: int, points: Array) -> float:
-    """Return the radius of a sphere about the origin of the object frame that holds points throughout, mm.
-
-    Parameters
-    ----------
-    motions : Motions or None
-    mover : int
-    points : (n, 3) float64, mm
-        Object frame at t = 0.
-    """
-    places, margin = swept(motions, mover, points)
-    return float(np.linalg.norm(places, axis=1).max(initial=0.0)) + margin
-
-
-def box_round(motions: Motions, mover: int, points: Array, to_frame: Array) -> Array:
-    """Return the corners of a box that holds points of a mover during the exposure, (8, 3) mm.
-
-    Parameters
-    ----------
-    motions : Motions
-    mover : int
-    points : (n, 3) float64, mm
-        Object frame at t = 0.
-    to_frame : (3, 4) float64
-        From the object frame to the frame of the box.
-    """
-    places, margin = swept(motions, mover, points)
-    places = frame.points(to_frame, places)
-    ends = np.stack([places.min(axis=0) - margin, places.max(axis=0) + margin])
-    return np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
-
-
 def with_motions(
     objects: ObjectTables, motions: Motions | None, hulls: list[Array], scene: Scene, mesh: Mesh
 ) -> ObjectTables:  # fmt: skip
@@ -231,14 +176,12 @@ def with_motions(
     radius = max([objects.radius, *reach])
     outer, lit = max(objects.outer_radius, radius), max(objects.lit_radius, radius)
     if objects.volumes is not None:
-        # The light near lamps is tabulated for lamps and media at rest.
-        objects = objects._replace(volumes=objects.volumes._replace(near_lamps=NOTHING_NEAR_LAMPS))
         found = media_corners(objects.volumes)
         bounded = max((reach_mm(motions, int(motions.of_medium[k]), points) for k, points in found), default=0.0)
         outer = max(outer, bounded)
         lit = max(lit, bounded) if objects.volumes.scatters else lit
     objects = objects._replace(radius=radius, outer_radius=outer, lit_radius=lit)
-    return objects._replace(sources=sources_of(scene, objects, mesh))
+    return with_moving_lights(objects, motions, scene, mesh)
 
 
 def media_corners(volumes: Volumes | None) -> list[tuple[int, Array]]:
@@ -251,8 +194,8 @@ def media_corners(volumes: Volumes | None) -> list[tuple[int, Array]]:
     return found
 
 
-def swept_boxes(motions: Motions, hulls: list[Array], objects: ObjectTables, grains: Array, moves: Array) -> Array:
-    """Return the corners of boxes that hold targets that move, media and particles throughout, camera frame, (n, 3) mm.
+def swept_boxes(motions: Motions, hulls: list[Array], objects: ObjectTables, moves: Array) -> Array:
+    """Return the corners of boxes that hold targets that move, and media, throughout, camera frame, (n, 3) mm.
 
     Parameters
     ----------
@@ -260,27 +203,11 @@ def swept_boxes(motions: Motions, hulls: list[Array], objects: ObjectTables, gra
     hulls : list of (n, 3) float64, mm
         From `hulls_of`.
     objects : ObjectTables
-    grains : (8 m, 3) float64, mm, object frame
-        Corners of boxes around particles at rest in the world.
     moves : (6, 6, 3, 4) float64
         See `tables.frames`.
     """
     things = [(int(mover), hull) for mover, hull in zip(motions.of_target, hulls, strict=False) if mover != STILL]
     things += [(int(motions.of_medium[number]), corners) for number, corners in media_corners(objects.volumes)]
-    things += [(motions.resting, box) for box in grains.reshape(-1, 8, 3)]
     move = moves[OBJECT_FRAME, CAMERA_FRAME]
     boxes = [box_round(motions, mover, points, move) for mover, points in things if len(points)]
     return np.concatenate([np.zeros((0, 3)), *boxes])
-
-
-def pose_of_mover(motions: Motions, mover: int, time_s: float) -> Array:
-    """Return the frame of a mover at a time relative to the camera, (3, 4), object frame.
-
-    Parameters
-    ----------
-    motions : Motions
-    mover : int
-    time_s : float
-    """
-    camera, own = (motions.segments[motions.first[each] : motions.first[each + 1]] for each in (STILL, mover))
-    return frame.compose(frame.inverse(pose_at(camera, time_s)), pose_at(own, time_s))

@@ -203,6 +203,8 @@ class Emitters(NamedTuple):
     number: NDArray[np.int64]  # (n,) places of the pieces of each facet, one facet after the other, in these tables
     first: NDArray[np.int64]  # (m,) begin of the pieces of each facet of object space in `number`; −1: none
     level: NDArray[np.int64]  # (m,) how often each facet is divided in four
+    # (trees, 2) first node and mover of the tree of each mover, in a scene with motion and with a tree, else None
+    trees: Any = None
 
 
 @by_address

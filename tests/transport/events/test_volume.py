@@ -35,7 +35,7 @@ def volumes_of(*media: dict[str, Any], folder: Path | None = None, **changes: An
 
 def line(*ray: float, colour: int = 0) -> Line:
     """Return a line in air."""
-    return Line(Ray(*map(float, ray)), 0, colour)
+    return Line(Ray(*map(float, ray)), 0, colour, None, 0)
 
 
 def passage(volumes: Volumes, p: Any, d: Any, reach: float, book: Any = None, colour: int = 0) -> Passage:

@@ -57,16 +57,16 @@ def objects(monkeypatch: pytest.MonkeyPatch) -> ObjectTables:
 def fill_chances(objects: ObjectTables, place: Any, normal: Any, chances: Array) -> None:
     """Write the chance of the leaf of each piece."""
     for piece in range(len(chances)):
-        chances[piece] = chance_of_leaf(objects.emitters, place, normal, piece)
+        chances[piece] = chance_of_leaf(objects.emitters, 0, place, normal, piece)
 
 
 @kernel
 def drawn(objects: ObjectTables, place: Any, normal: Any, numbers: Array, found: Array) -> None:
     """Write the facet and the density of points, as drawn for a place and as told for them."""
     for i in range(len(numbers)):
-        prim, x, y, z, density = emitting_point(objects, place, normal, numbers[i, 0], numbers[i, 1])
+        prim, x, y, z, density = emitting_point(objects, place, normal, numbers[i, 0], numbers[i, 1], None, 0)
         found[i, 0], found[i, 1] = prim, density
-        found[i, 2] = density_at(objects, place, normal, prim, (x, y, z)) if prim >= 0 else 0.0
+        found[i, 2] = density_at(objects, place, normal, prim, (x, y, z), None, 0) if prim >= 0 else 0.0
         found[i, 3], found[i, 4], found[i, 5] = x, y, z
 
 

@@ -102,7 +102,7 @@ def asked(objects: ObjectTables, places: Array, key: np.uint64, told: Array) -> 
 def sent(objects: ObjectTables, key: np.uint64, rays: Array) -> None:
     """Write packets: start, direction, share of their power."""
     for i in range(len(rays)):
-        rays[i] = emitted(objects, objects.lamps.rows[0], derived(key, i))
+        rays[i] = emitted(objects, objects.lamps.rows[0], derived(key, i), None)
 
 
 def quarters(x: Array, y: Array, power: Array) -> Array:

@@ -70,13 +70,13 @@ def test_distances_follow_the_light_that_arrives_on_a_line(last: float) -> None:
         )  # fmt: skip
         d = random.normal(size=3)
         way = Ray(*random.normal(0.0, 5.0, 3).tolist(), *(d / np.linalg.norm(d)).tolist())
-        whole = lamps_on_line(table, 0, way, 3.0, last)
-        points = [distance_by_angle(table, 0, way, 3.0, last, whole * u) for u in random.random(3000)]
+        whole = lamps_on_line(table, line(*way), 3.0, last)
+        points = [distance_by_angle(table, line(*way), 3.0, last, whole * u) for u in random.random(3000)]
         assert min(points) >= 3.0
         assert max(points) <= last
 
         def density(t: float, table: Any = table, way: Any = way) -> float:
-            return float(density_by_angle(table, 0, way, t))
+            return float(density_by_angle(table, line(*way), t))
 
         # The light of flat lamps begins or ends where the line crosses their planes, that of spines two sizes away.
         ends = [*lit_part(table.rows[1], way, 3.0, last), *lit_part(table.rows[4], way, 3.0, last)]
@@ -97,10 +97,10 @@ def test_distances_follow_the_light_that_arrives_on_a_line(last: float) -> None:
 def test_a_lamp_is_near_where_the_part_of_the_line_is_near_it() -> None:
     table = lamps(point([3.0, 0.0, 10.0]), SUN)
     way = Ray(0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-    assert passes_lamp(table, 0, way, 0.0, np.inf, 3.1)
-    assert not passes_lamp(table, 0, way, 0.0, np.inf, 2.9)
-    assert not passes_lamp(table, 0, way, 0.0, 6.0, 4.9)
-    assert passes_lamp(table, 0, way, 14.0, np.inf, 5.1)
+    assert passes_lamp(table, line(*way), 0.0, np.inf, 3.1)
+    assert not passes_lamp(table, line(*way), 0.0, np.inf, 2.9)
+    assert not passes_lamp(table, line(*way), 0.0, 6.0, 4.9)
+    assert passes_lamp(table, line(*way), 14.0, np.inf, 5.1)
 
 
 def test_disks_and_narrow_spots_light_their_own_side_only() -> None:
@@ -118,10 +118,10 @@ def test_a_long_lamp_is_near_where_the_line_is_near_its_spine() -> None:
     table = lamps(tube([3.0, -90.0, 10.0], [3.0, 110.0, 10.0]))
     for y in (-88.0, 0.0, 108.0):
         way = Ray(0.0, y, 0.0, 0.0, 0.0, 1.0)
-        assert passes_lamp(table, 0, way, 0.0, np.inf, 3.1)
-        assert not passes_lamp(table, 0, way, 0.0, np.inf, 2.9)
-        assert not passes_lamp(table, 0, way, 0.0, 5.0, 5.7)
-    assert not passes_lamp(table, 0, Ray(0.0, 113.0, 0.0, 0.0, 0.0, 1.0), 0.0, np.inf, 4.1)
+        assert passes_lamp(table, line(*way), 0.0, np.inf, 3.1)
+        assert not passes_lamp(table, line(*way), 0.0, np.inf, 2.9)
+        assert not passes_lamp(table, line(*way), 0.0, 5.0, 5.7)
+    assert not passes_lamp(table, line(0.0, 113.0, 0.0, 0.0, 0.0, 1.0), 0.0, np.inf, 4.1)
 
 
 def test_the_density_stays_in_proportion_to_the_light_of_a_tube() -> None:
@@ -139,7 +139,7 @@ def test_the_density_stays_in_proportion_to_the_light_of_a_tube() -> None:
             place = start + t * d
             h, s = np.hypot(place[0], place[1]), place[2]
             sines = (20.0 - s) / np.hypot(20.0 - s, h) + (20.0 + s) / np.hypot(20.0 + s, h)
-            assert table.rows[0]["peak"] / (40.0 * h) * sines <= 4.0 * density_by_angle(table, 0, way, t)
+            assert table.rows[0]["peak"] / (40.0 * h) * sines <= 4.0 * density_by_angle(table, line(*way), t)
 
 
 def crowd(count: int, random: np.random.Generator) -> Lamps:
@@ -163,7 +163,7 @@ def test_many_lamps_count_about_as_each_of_them() -> None:
             to = np.array(way[:3]) + t * np.array(way[3:]) - table.rows["position"]
             lit = (table.rows["outer"] > 1.0) | (np.einsum("ij,ij->i", to, table.rows["direction"]) > 0.0)
             single = (table.rows["peak"] / ((to**2).sum(axis=1) + table.rows["size"] ** 2))[lit].sum()
-            assert 0.2 * single < density_by_angle(table, 0, way, t)
+            assert 0.2 * single < density_by_angle(table, line(*way), t)
 
 
 def test_distances_follow_the_light_of_many_lamps() -> None:
@@ -173,10 +173,10 @@ def test_distances_follow_the_light_of_many_lamps() -> None:
     for _ in range(6):
         d = random.normal(size=3)
         way = Ray(*random.normal(20.0, 20.0, 3).tolist(), *(d / np.linalg.norm(d)).tolist())
-        whole = lamps_on_line(table, 0, way, 3.0, 90.0)
-        points = [distance_by_angle(table, 0, way, 3.0, 90.0, whole * u) for u in random.random(3000)]
+        whole = lamps_on_line(table, line(*way), 3.0, 90.0)
+        points = [distance_by_angle(table, line(*way), 3.0, 90.0, whole * u) for u in random.random(3000)]
         grid = np.linspace(3.0, 90.0, 20_001)
-        cdf = np.cumsum([density_by_angle(table, 0, way, t) for t in 0.5 * (grid[1:] + grid[:-1])]) * (
+        cdf = np.cumsum([density_by_angle(table, line(*way), t) for t in 0.5 * (grid[1:] + grid[:-1])]) * (
             grid[1] - grid[0]
         )
         np.testing.assert_allclose(cdf[-1], whole, rtol=1e-2)
@@ -192,12 +192,12 @@ def test_a_line_comes_near_one_of_many_lamps_where_it_comes_near_any() -> None:
         d = random.choice(table.rows["position"]) + random.normal(0.0, 3.0, 3) - start
         way = Ray(*start.tolist(), *(d / np.linalg.norm(d)).tolist())
         last, within = random.uniform(5.0, 90.0), random.uniform(0.1, 4.0)
-        single = [
-            passes_lamp(table._replace(nodes=table.nodes[leaf : leaf + 1], power=table.power[leaf : leaf + 1]), 0, way,
-                        1.0, last, within)
+        leaves = [
+            table._replace(nodes=table.nodes[leaf : leaf + 1], power=table.power[leaf : leaf + 1])
             for leaf in table.leaf
-        ]  # fmt: skip
-        assert passes_lamp(table, 0, way, 1.0, last, within) == any(single)
+        ]
+        single = [passes_lamp(each, line(*way), 1.0, last, within) for each in leaves]
+        assert passes_lamp(table, line(*way), 1.0, last, within) == any(single)
         found.append(any(single))
     assert 0.1 < np.mean(found) < 0.9
 
@@ -206,8 +206,8 @@ def test_a_line_comes_near_one_of_many_lamps_where_it_comes_near_any() -> None:
 def test_a_lamp_on_the_line_itself_gives_finite_distances(start: list[float]) -> None:
     table = lamps(point([0.0, 0.0, 20.0]), point(start))
     way = Ray(*start, 0.0, 0.0, 1.0)
-    whole = lamps_on_line(table, 0, way, 0.0, np.inf)
-    points = [distance_by_angle(table, 0, way, 0.0, np.inf, whole * u) for u in (0.0, 0.3, 0.5, 0.9, 1.0)]
+    whole = lamps_on_line(table, line(*way), 0.0, np.inf)
+    points = [distance_by_angle(table, line(*way), 0.0, np.inf, whole * u) for u in (0.0, 0.3, 0.5, 0.9, 1.0)]
     assert np.isfinite(whole)
     assert whole > 0.0
     assert np.isfinite(points[:-1]).all()

@@ -126,7 +126,7 @@ def ask(
 ) -> None:  # fmt: skip
     """Write what the lamps that packets ask bring, weighted, and their number."""
     for i in range(len(packets)):
-        count = lamps_to_ask(options, lamps, packets[i], place, normal, asked)
+        count = lamps_to_ask(options, lamps, packets[i], place, normal, asked, None)
         found[i, 0], found[i, 1] = 0.0, count
         for k in range(count):
             found[i, 0] += asked[k].share * brought[asked[k].lamp]

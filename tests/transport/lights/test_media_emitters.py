@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import kernel
+from lfmesh.transport.events.volume import Line
 from lfmesh.transport.lights.media_emitters import density, point_of_media
 from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.tables.volumes import Volumes
@@ -25,19 +26,19 @@ def directions(volumes: Any, x: float, y: float, z: float, key: np.uint64, found
     for i in range(len(found)):
         own = derived(key, i)
         numbers = uniform(own, 0), uniform(own, 1), uniform(own, 2), uniform(own, 3)
-        _, px, py, pz = point_of_media(volumes, 0, Ray(x, y, z, 0.0, 0.0, 1.0), numbers)
+        _, px, py, pz = point_of_media(volumes, Line(Ray(x, y, z, 0.0, 0.0, 1.0), 0, 0, None, 0), numbers)
         dx, dy, dz = px - x, py - y, pz - z
         r = np.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx / r, dy / r, dz / r
         found[i, 0], found[i, 1], found[i, 2] = dx, dy, dz
-        found[i, 3] = density(volumes, 0, Ray(x, y, z, dx, dy, dz))
+        found[i, 3] = density(volumes, Line(Ray(x, y, z, dx, dy, dz), 0, 0, None, 0))
 
 
 @kernel
 def densities(volumes: Any, x: float, y: float, z: float, ways: Array, found: Array) -> None:
     """Write the density of directions."""
     for i in range(len(found)):
-        found[i] = density(volumes, 0, Ray(x, y, z, ways[i, 0], ways[i, 1], ways[i, 2]))
+        found[i] = density(volumes, Line(Ray(x, y, z, ways[i, 0], ways[i, 1], ways[i, 2]), 0, 0, None, 0))
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,79 @@
+"""Places of things that move, and the space that they pass through during the exposure, relative to the camera."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry import frame
+from lfmesh.geometry.rigid_motion import pose_at, sweep
+from lfmesh.transport.tables.motions import STILL, Motions
+
+Array = NDArray[np.float64]
+
+
+def swept(motions: Motions | None, mover: int, points: Array) -> tuple[Array, float]:
+    """Return places of points of a mover during the exposure, relative to the camera, and the margin of `sweep`.
+
+    Parameters
+    ----------
+    motions : Motions or None
+        None: nothing moves.
+    mover : int
+    points : (n, 3) float64, mm
+        Object frame at t = 0.
+
+    Returns
+    -------
+    places : (m, 3) float64, mm
+        Object frame.
+    margin_mm : float
+    """
+    if motions is None or mover == STILL or not len(points):
+        return points, 0.0
+    camera, own = (motions.segments[motions.first[each] : motions.first[each + 1]] for each in (STILL, mover))
+    places, margin = sweep(own, points, 0.0, motions.end_s, camera if motions.camera_moves else None)
+    return places.reshape(-1, 3), margin
+
+
+def reach_mm(motions: Motions | None, mover: int, points: Array) -> float:
+    """Return the radius of a sphere about the origin of the object frame that holds points throughout, mm.
+
+    Parameters
+    ----------
+    motions : Motions or None
+    mover : int
+    points : (n, 3) float64, mm
+        Object frame at t = 0.
+    """
+    places, margin = swept(motions, mover, points)
+    return float(np.linalg.norm(places, axis=1).max(initial=0.0)) + margin
+
+
+def box_round(motions: Motions, mover: int, points: Array, to_frame: Array) -> Array:
+    """Return the corners of a box that holds points of a mover during the exposure, (8, 3) mm.
+
+    Parameters
+    ----------
+    motions : Motions
+    mover : int
+    points : (n, 3) float64, mm
+        Object frame at t = 0.
+    to_frame : (3, 4) float64
+        From the object frame to the frame of the box.
+    """
+    places, margin = swept(motions, mover, points)
+    places = frame.points(to_frame, places)
+    ends = np.stack([places.min(axis=0) - margin, places.max(axis=0) + margin])
+    return np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
+
+
+def pose_of_mover(motions: Motions, mover: int, time_s: float) -> Array:
+    """Return the frame of a mover at a time relative to the camera, (3, 4), object frame.
+
+    Parameters
+    ----------
+    motions : Motions
+    mover : int
+    time_s : float
+    """
+    camera, own = (motions.segments[motions.first[each] : motions.first[each + 1]] for each in (STILL, mover))
+    return frame.compose(frame.inverse(pose_at(camera, time_s)), pose_at(own, time_s))

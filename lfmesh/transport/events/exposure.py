@@ -13,13 +13,17 @@ from lfmesh.transport.tables.motions import Motions
 TIMES = (1 << 62) + 1
 """Number of a key's child that no sample, packet or wavelength uses."""
 
+MOST_POINTS = 1 << 32
+"""Number of Sobol' points; packets with larger numbers have independent times."""
+
 
 @kernel
 def drawn_time(motions: Motions, options: Options, packet: Any) -> float:
     """Return the time of a packet, s.
 
     A packet from a pixel has a random time in the window of its row, by the opening of the shutter; a packet from a
-    light has a uniform time in all windows together. Without random times, t = 0.
+    light has a uniform time in all windows together, and packets whose numbers follow each other have times that spread
+    evenly. Without random times, t = 0.
 
     Parameters
     ----------
@@ -30,7 +34,10 @@ def drawn_time(motions: Motions, options: Options, packet: Any) -> float:
     if options.still:
         return 0.0
     if not options.adjoint:
-        return motions.end_s * uniform(derived(derived(options.stream, TIMES), packet.source), 0)
+        key = derived(options.stream, TIMES)
+        if packet.source < MOST_POINTS:
+            return motions.end_s * owen_sobol(key, packet.source, TIME)
+        return motions.end_s * uniform(derived(key, packet.source), 0)
     pixel = packet.source & PIXEL_MASK
     if options.pixels.each > 0:
         stream, sample = sample_of(options.pixels, packet)

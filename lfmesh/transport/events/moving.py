@@ -133,6 +133,23 @@ def movers(moving: Any) -> int:
 
 
 @inlined
+def start_in_mover(moving: Any, options: Options, packet: Any, mover: int) -> None:
+    """Begin a new packet, with its source known, in the frame of a mover; 0: the object frame.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    options : Options
+    packet : PACKET
+    mover : int
+    """
+    if moving is None:
+        return
+    packet.frame = OBJECT_FRAME if mover == STILL else MOVING_FRAME + mover
+    begin(moving, options, packet)
+
+
+@inlined
 def enter_mover(moving: Any, packet: Any, mover: int) -> None:
     """Move the ray of the packet in hand into the frame of a mover; 0: the object frame.
 

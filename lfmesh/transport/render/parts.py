@@ -165,7 +165,8 @@ def parts_of(world: World, *, aimed: bool = True, by_meshes: bool = False) -> tu
 def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     """Return the parts of an image; `ghosts` allows a separate part for ghosts."""
     options, tables = options_of(world, aimed=aimed), world.aimed_tables
-    forward = not options.adjoint or bool(world.particles) or aimed_at_glass(tables.objects) is not None
+    through_glass = aimed_at_glass(tables.objects, tables.motions) is not None
+    forward = not options.adjoint or bool(world.particles) or through_glass
     through = glass_aim(world)[0] if aimed and forward else None
     if aimed and not options.adjoint:
         refuse_unaimed(world)
@@ -220,7 +221,7 @@ def _aimed_through(tables: Tables, through: GlassAim | None) -> Tables:
 
 def lamp_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     """Return the part of an adjoint image traced from lamps, if there is such light; `through` is from `glass_aim`."""
-    objects = aimed_at_glass(world.tables.objects)
+    objects = aimed_at_glass(world.tables.objects, world.tables.motions)
     if objects is None:
         return ()
     return (_from_lamps(Estimator.LAMPS_THROUGH_GLASS, world, objects, through, LAMP_THROUGH_GLASS),)
@@ -233,7 +234,8 @@ def camera_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     """
     if not world.scene.rough_in_camera():
         return ()
-    objects = aimed_at_camera(world.tables.objects, world.tables.lens, world.tables.frames)
+    tables = world.tables
+    objects = aimed_at_camera(tables.objects, tables.lens, tables.frames, tables.motions)
     if objects is None:
         return ()
     return (_from_lamps(lamps_on_camera(len(world.particles)), world, objects, through, LAMP_ON_CAMERA),)
@@ -294,7 +296,8 @@ def finds_all(world: World) -> bool:
 
     Paths from the pixels, which check a forward image, miss light of lamps through glass.
     """
-    return world.scene.transport.method == "adjoint" or aimed_at_glass(world.tables.objects) is None
+    tables = world.tables
+    return world.scene.transport.method == "adjoint" or aimed_at_glass(tables.objects, tables.motions) is None
 
 
 def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:

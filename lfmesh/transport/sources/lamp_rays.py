@@ -6,9 +6,11 @@ import numpy as np
 
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import near, tangents
+from lfmesh.transport.events.moving import point_between
 from lfmesh.transport.lights.intensity import drawn_by_intensity, intensity
 from lfmesh.transport.lights.places import point_of_light
 from lfmesh.transport.packets.random import start
+from lfmesh.transport.tables.motions import STILL
 from lfmesh.transport.tables.tables import ObjectTables
 
 # Dimensions of a light packet's starting numbers; dimension 0 selects the light.
@@ -17,7 +19,7 @@ PLACE_U, PLACE_V, WAY_U, WAY_V = 1, 2, 3, 4
 
 @kernel
 def emitted(
-    objects: ObjectTables, light: Any, key: np.uint64
+    objects: ObjectTables, light: Any, key: np.uint64, moving: Any
 ) -> tuple[float, float, float, float, float, float, float]:
     """Return a random ray of a light, aimed at the sphere around targets or around glass only.
 
@@ -29,16 +31,18 @@ def emitted(
     light : LIGHT
     key : uint64
         Packet key.
+    moving : Moving or None
 
     Returns
     -------
     x, y, z, dx, dy, dz : float
-        Start, mm, object frame, and unit direction.
+        Start, mm, and unit direction, in the frame of the light's mover.
     share : float
         Fraction of the packet's power on the ray: the light's ray density over the sampling density.
     """
     radius = objects.lit_radius
-    mx, my, mz = objects.lit_middle[0], objects.lit_middle[1], objects.lit_middle[2]
+    middle, mover = objects.lit_middle, light.mover
+    mx, my, mz = point_between(moving, STILL, mover, middle[0], middle[1], middle[2])
     if not light.placed:
         ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
         r, phi = radius * np.sqrt(start(key, PLACE_U)), 2.0 * np.pi * start(key, PLACE_V)
@@ -46,7 +50,8 @@ def emitted(
         a, b = r * np.cos(phi), r * np.sin(phi)
         # Start in front of everything that may cast a shadow.
         x, y, z = mx + a * px + b * qx, my + a * py + b * qy, mz + a * pz + b * qz
-        back = objects.outer_radius + (x * ax + y * ay + z * az)
+        ox, oy, oz = point_between(moving, STILL, mover, 0.0, 0.0, 0.0)
+        back = objects.outer_radius + ((x - ox) * ax + (y - oy) * ay + (z - oz) * az)
         return x - back * ax, y - back * ay, z - back * az, ax, ay, az, 1.0
     x, y, z = point_of_light(light, start(key, PLACE_U), start(key, PLACE_V))
     if light.gain * _cone_share(x - mx, y - my, z - mz, radius) > 1.0:

@@ -20,6 +20,13 @@ from lfmesh.transport.events.bending import squared_index_at
 from lfmesh.transport.events.bodies import RANK, TOO_MANY, bodies_at, medium_of, set_bodies
 from lfmesh.transport.events.bounds import own_ray, span
 from lfmesh.transport.events.crossing import record
+from lfmesh.transport.events.moving import (
+    direction_between,
+    mover_of,
+    mover_of_medium,
+    point_between,
+    start_in_mover,
+)
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import polarise_as_light
 from lfmesh.transport.events.scattering import albedo
@@ -27,16 +34,7 @@ from lfmesh.transport.events.surface import emission_of, opacity_at, place_on, p
 from lfmesh.transport.events.volume import coefficients
 from lfmesh.transport.lights.media_emitters import drawn_point
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
-from lfmesh.transport.packets.packet import (
-    E_START,
-    LAMP,
-    NO_SURFACE,
-    OBJECT_FRAME,
-    OBJECTS,
-    Flow,
-    mover_of_frame,
-    put,
-)
+from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, mover_of_frame, put
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.paths.automaton import FROM_LAMP, ON_IMAGE_PATH
 from lfmesh.transport.regions.targets import scatter
@@ -46,6 +44,7 @@ from lfmesh.transport.sources.source import Source
 from lfmesh.transport.sources.wavelengths import ALONE, Turn, order_of_packets
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.lines import Nodes
+from lfmesh.transport.tables.motions import STILL
 from lfmesh.transport.tables.scattering import THERMAL
 from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, ObjectTables
 
@@ -89,9 +88,11 @@ class LightSource(Source):
     def launch(self, work: Workspace, part: range) -> None:
         """Start some of the packets, if the scene has sources."""
         tables = work.tables
+        work.options = work.options._replace(stream=self.key)
         if len(tables.objects.sources):
             numbers = np.arange(self.first + part.start, self.first + part.stop) * self.turn.step + self.turn.first
-            space = ObjectSpace(work.options, work.flow(), tables.frames, tables.objects, tables.aim.entrance)
+            frames, entrance = work.frames_of_objects, tables.aim.entrance
+            space = ObjectSpace(work.options, work.flow(), frames, tables.objects, entrance)
             launch_forward(
                 *order_of_packets(self.nodes, numbers, self.key), self.total, self.key, space, work.template,
             )  # fmt: skip
@@ -133,6 +134,7 @@ def launch_forward(
         packet.node = NO_SURFACE
         which = drawn_by(sources["until"], start(key, SOURCE_U))
         source = sources[which]
+        start_in_mover(space.flow.moving, space.options, packet, _mover_of(space.flow.moving, objects, source))
         weight = source.power / (source.share * total)
         if source.facet <= FIRST_VOLUME:
             _from_medium(objects.volumes, space, packet, FIRST_VOLUME - source.facet, weight / source.power)
@@ -144,10 +146,23 @@ def launch_forward(
             _from_facet(space, packet, source.facet, weight)
 
 
+@inlined
+def _mover_of(moving: Any, objects: ObjectTables, source: Any) -> int:
+    """Return the mover of a source, `source` : SOURCE."""
+    if moving is None:
+        return STILL
+    if source.facet <= FIRST_VOLUME:
+        return int(mover_of_medium(moving, FIRST_VOLUME - source.facet))
+    if source.light >= 0:
+        return int(objects.lamps.rows[source.light].mover)
+    return int(mover_of(moving, objects.facets[source.facet].body))
+
+
 @kernel
 def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weight: float) -> None:
     """Start a lamp packet towards the target sphere; book its other power as escaped."""
-    x, y, z, dx, dy, dz, share = emitted(objects, objects.lamps.rows[number], packet.key)
+    light, moving = objects.lamps.rows[number], flow.moving
+    x, y, z, dx, dy, dz, share = emitted(objects, light, packet.key, moving)
     towards = weight * share
     flow.book[EMITTED] += weight
     flow.book[ESCAPED] += weight - towards
@@ -155,11 +170,36 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
         return
     packet.start = towards
     # Embree's float32 is too coarse far away; a start nearer by still precedes everything that the ray may meet.
-    ahead = -(x * dx + y * dy + z * dz) - CLEAR_OF_ALL * objects.outer_radius
+    ox, oy, oz = point_between(moving, STILL, light.mover, 0.0, 0.0, 0.0)
+    ahead = -((x - ox) * dx + (y - oy) * dy + (z - oz) * dz) - CLEAR_OF_ALL * objects.outer_radius
     if ahead > 0.0:
         x, y, z = x + ahead * dx, y + ahead * dy, z + ahead * dz
     polarise_as_light(flow.polarised, packet, number, dx, dy, dz)
+    _carry_reference(flow.polarised, moving, packet, light.mover)
     put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, towards, packet.key, 0.0)
+
+
+@inlined
+def _carry_reference(polarised: Any, moving: Any, packet: Any, mover: int) -> None:
+    """Turn the reference direction of a packet's state with its lamp, whose polariser turns along.
+
+    Parameters
+    ----------
+    polarised : PolarisationTables or None
+    moving : Moving or None
+    packet : POLARISED
+    mover : int
+        Mover of the lamp.
+    """
+    if polarised is None:
+        return
+    if moving is None:
+        return
+    turned, own = (
+        packet.reference,
+        direction_between(moving, mover, STILL, packet.reference[0], packet.reference[1], packet.reference[2]),
+    )
+    turned[0], turned[1], turned[2] = own
 
 
 @kernel
@@ -193,7 +233,8 @@ def _from_medium(volumes: Any, space: ObjectSpace, packet: Any, number: int, wei
         packet.medium = medium_of(objects, inside)
         set_bodies(packet, inside)
     emission = coefficients(volumes, number, colour, 0.0, 0.0, ray)[2]
-    emission *= _grown_by_temperature(objects.fields, colour, x, y, z)
+    px, py, pz = point_between(flow.moving, mover_of_frame(packet.frame), STILL, x, y, z)
+    emission *= _grown_by_temperature(objects.fields, colour, px, py, pz)
     if emission <= 0.0:
         return
     # W/(m² sr mm) is 10⁻⁶ W/(mm³ sr).
@@ -225,7 +266,8 @@ def _from_facet(space: ObjectSpace, packet: Any, prim: int, weight: float) -> No
     )
     if objects.opacity[body] < 1.0:
         weight *= opacity_at(objects, prim, x, y, z)
-    weight *= _grown_in_field(objects.fields, objects, packet.colour, body, x, y, z)
+    px, py, pz = point_between(flow.moving, mover_of_frame(packet.frame), STILL, x, y, z)
+    weight *= _grown_in_field(objects.fields, objects, packet.colour, body, px, py, pz)
     point = emission_of(objects, point_of(objects, packet, prim, (x, y, z), side, False), key)
     emitted = weight * albedo(objects.scattering, point, packet.colour, 0.0, 0.0, 0.0)
     flow.book[EMITTED] += emitted

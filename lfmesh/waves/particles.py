@@ -131,6 +131,11 @@ def _refuse(world: World) -> None:
         raise LfmeshError(
             f"camera.sensor.bands: particles with {chosen} are pictured at single wavelengths; omit bands"
         )
+    if scene.moves:
+        raise LfmeshError(
+            f"{chosen}: particles are pictured by point spreads, which hold for one time, but the scene has motion or "
+            'streaks; give transport.diffraction = "none", or omit every motion and frame_time_s'
+        )
     spreads = _spreads(world)
     if scene.camera.mla is not None and spreads > MOST_SPREADS:
         raise LfmeshError(

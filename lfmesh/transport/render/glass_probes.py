@@ -5,15 +5,17 @@ light count as glass. Light scattered back along a probe reaches the sensor, fro
 point on its way through a medium or past particles.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_IMAGE_PATH, with_wide_share
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
+from lfmesh.transport.events.moving import point_between, start_in_mover
 from lfmesh.transport.packets.packet import (
     BY_ORDER,
     CAMERA_FRAME,
@@ -30,6 +32,7 @@ from lfmesh.transport.packets.packet import (
     TRANSMIT,
     WORLD_FRAME,
     Event,
+    Options,
 )
 from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
@@ -37,6 +40,9 @@ from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.tables.bending_fields import crossed_at_once
 from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.tables.media import without_absorption
+from lfmesh.transport.tables.motions import STILL
+from lfmesh.transport.tables.particles import corners_round
+from lfmesh.transport.tables.swept import box_round
 from lfmesh.transport.tables.volumes import corners_of
 from lfmesh.transport.world import World
 
@@ -102,19 +108,30 @@ class _Stretches(NamedTuple):
 
 
 def regions_of(world: World) -> list[Region]:
-    """Return boxes round all media that emit or scatter light, then round the entries of particles."""
-    objects, moves = world.tables.objects, world.tables.frames
+    """Return boxes round all media that emit or scatter light, then round the entries of particles.
+
+    They hold during the whole exposure, in the world that the camera carries along.
+    """
+    objects, moves, motions = world.tables.objects, world.tables.frames, world.tables.motions
     found = []
     if objects.volumes is not None:
         acts = (objects.volumes.scattering > 0.0).any(axis=1) | (objects.volumes.emission > 0.0).any(axis=1)
-        for row in objects.volumes.rows[acts]:
+        for number in np.flatnonzero(acts):
+            row = objects.volumes.rows[number]
             corners = corners_of(row)
             if corners is None:
                 corners = objects.outer_radius * np.array([[-1.0] * 3, [1.0] * 3])
+            elif motions is not None and motions.of_medium[number] != STILL:
+                # All the space that the medium passes through.
+                corners = frame.points(frame.inverse(row["to_own"]), corners)
+                corners = box_round(motions, int(motions.of_medium[number]), corners, np.eye(3, 4))
+                found.append(Region(moves[WORLD_FRAME, OBJECT_FRAME], corners.min(axis=0), corners.max(axis=0)))
+                continue
             to_own = frame.compose(row["to_own"], moves[WORLD_FRAME, OBJECT_FRAME])
             found.append(Region(to_own, corners.min(axis=0), corners.max(axis=0)))
     for table in world.particles:
-        low, high = table.points.min(axis=0), table.points.max(axis=0)
+        corners = corners_round((table,), motions)
+        low, high = corners.min(axis=0), corners.max(axis=0)
         # A box without volume, of a single particle or a plane of them, would be passed by no ray.
         room = ROOM * max(float((high - low).max()), float(np.linalg.norm(low)))
         found.append(Region(np.eye(3, 4), low - room, high + room))
@@ -188,7 +205,7 @@ def _traced(world: World, packets: NDArray[np.void], regions: list[Region], draw
     )  # fmt: skip
     split = TRANSMIT if world.scene.transport.split == "transmit" else ROULETTE
     # Their times are those of the exposure.
-    stream = np.uint64(draw.integers(1 << 62))
+    stream = np.uint64(0 if world.tables.motions is None else draw.integers(1 << 62))
     options = options_of(world, tracing=True, record=True, split=split, cutoff=0.0, still=False, stream=stream)
     work = Workspace(world, options, max(1, len(packets)), world.tables._replace(objects=clear))
     work.begin(None, len(packets))
@@ -199,18 +216,19 @@ def _traced(world: World, packets: NDArray[np.void], regions: list[Region], draw
     work.record_starts()
     while work.tops[OBJECTS]:
         work.advance(OBJECTS)
-    return _sights(world, work.vertices(), work.ends(), regions, draw)
+    return _sights(work, work.vertices(), work.ends(), regions, draw)
 
 
 def _sights(
-    world: World, nodes: NDArray[np.void], ends: NDArray[np.void], regions: list[Region], draw: np.random.Generator
+    work: Workspace, nodes: NDArray[np.void], ends: NDArray[np.void], regions: list[Region], draw: np.random.Generator
 ) -> Sights:
     """Return the sights along recorded ways, world frame."""
+    world = work.world
     rough = np.array([t.refractor is not None and t.refractor.finish.is_rough for t in world.scene.targets] + [False])
     parent, glass = nodes["parent"], nodes["surface"] == ON_GLASS
     bends = glass | (nodes["surface"] == IN_FIELD)
     way, first, spoilt = np.zeros(len(nodes), np.uint64), np.arange(len(nodes)), np.zeros(len(nodes), np.bool_)
-    event = _events(world, nodes, glass)
+    event = _events(work, nodes, glass)
     on_rough = glass & rough[np.where(glass, nodes["part"], -1)]
     depth = np.zeros(len(nodes), np.int64)
     while True:
@@ -256,9 +274,9 @@ def _sights(
     return sights
 
 
-def _events(world: World, nodes: NDArray[np.void], glass: NDArray[np.bool_]) -> NDArray[np.uint64]:
+def _events(work: Workspace, nodes: NDArray[np.void], glass: NDArray[np.bool_]) -> NDArray[np.uint64]:
     """Return a number for body, face and kind of event of each vertex on glass or in an index field; 0 for others."""
-    face = np.zeros(len(nodes), np.int64)
+    world, face, positions = work.world, np.zeros(len(nodes), np.int64), _at_start(work, nodes, glass)
     for body in np.unique(nodes["part"][glass]):
         if world.targets[body].round is not None:
             # Its single curved face bends neighbouring ways alike.
@@ -270,12 +288,44 @@ def _events(world: World, nodes: NDArray[np.void], glass: NDArray[np.bool_]) -> 
         planes = np.column_stack([normals, np.einsum("ij,ij->i", normals, corners[:, 0])])
         planes = np.unique(np.round(planes, PLANE_DECIMALS), axis=0)
         if len(planes) <= MOST_FACES:
-            off = np.abs(nodes["position"][mine] @ planes[:, :3].T - planes[:, 3])
+            off = np.abs(positions[mine] @ planes[:, :3].T - planes[:, 3])
             face[mine] = np.argmin(off, axis=1)
     number = (face * len(world.targets) + nodes["part"]) * len(Event) + nodes["event"] + 1
     # The faces of a field bend neighbouring ways alike.
     further = (MOST_FACES * len(world.targets) + nodes["part"]) * len(Event) + nodes["event"] + 1
     return np.where(glass, number, np.where(nodes["surface"] == IN_FIELD, further, 0)).astype(np.uint64)
+
+
+def _at_start(work: Workspace, nodes: NDArray[np.void], glass: NDArray[np.bool_]) -> Array:
+    """Return the positions of vertices, those on glass carried back with it to t = 0, (n, 3) mm, world frame."""
+    found, motions = nodes["position"].copy(), work.tables.motions
+    if motions is None:
+        return found
+    some = np.flatnonzero(glass & (motions.of_target[np.where(glass, nodes["part"], -1)] != STILL))
+    root = np.arange(len(nodes))
+    while (nodes["parent"][root] >= 0).any():
+        root = np.where(nodes["parent"][root] >= 0, nodes["parent"][root], root)
+    # The starts were recorded in the order of the packets, whose numbers are their sources.
+    source = np.cumsum(nodes["parent"] < 0)[root] - 1
+    frames = work.tables.frames
+    points = frame.points(frames[WORLD_FRAME, OBJECT_FRAME], found[some])
+    movers = motions.of_target[nodes["part"][some]]
+    _carry_back(work.moving, work.options, work.template, source[some], movers, points)
+    found[some] = frame.points(frames[OBJECT_FRAME, WORLD_FRAME], points)
+    return found
+
+
+@kernel
+def _carry_back(
+    moving: Any, options: Options, template: NDArray[np.void], source: Numbers, movers: Numbers, points: Array
+) -> None:
+    """Move points, (n, 3) mm, of the object frame into the frame of their movers at the times of some sources."""
+    packet = template[0]
+    for i in range(len(points)):
+        packet.source = source[i]
+        start_in_mover(moving, options, packet, STILL)
+        x, y, z = point_between(moving, STILL, movers[i], points[i, 0], points[i, 1], points[i, 2])
+        points[i, 0], points[i, 1], points[i, 2] = x, y, z
 
 
 def _past_all_mm(world: World, regions: list[Region], places: Array) -> float:

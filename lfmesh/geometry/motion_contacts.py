@@ -21,7 +21,7 @@ from lfmesh.kernels.decorators import inlined, kernel
 LARGEST_LEAF = 2
 """Most facets per leaf."""
 
-MOST_STEPS = 1 << 24
+MOST_STEPS = 1 << 23
 """Pairs of nodes and intervals after which a proof is given up: some ten seconds."""
 
 DEEPEST = 512

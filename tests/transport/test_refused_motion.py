@@ -50,6 +50,24 @@ def test_a_tank_may_move_with_all_that_it_holds() -> None:
         build(tanks=[moving], targets=[ball([0.0, 0.0, -150.0])])
 
 
+@pytest.mark.parametrize(
+    "motion",
+    [
+        {"spin_deg_s": [10.0, 0.0, 30.0]},
+        {
+            "poses": [
+                {"time_s": 0.0},
+                {"time_s": 0.1, "position_mm": [5.0, 1.0, -150.0], "rotation_deg": [3.0, 7.0, 0.0]},
+            ]
+        },
+    ],
+)
+def test_wall_and_liquid_of_a_tank_move_as_one(motion: dict[str, Any]) -> None:
+    turned = {"open": "top", "rotation_deg": [0.0, 20.0, 5.0]}
+    dye = {"inside": "tanks[0] liquid", "scattering_per_mm": 0.01}
+    build(tanks=[TANK | turned | {"motion": motion}], media=[dye])
+
+
 def test_targets_may_pass_through_each_other() -> None:
     build(targets=[ball([0.0, 0.0, -150.0]), ball([-20.0, 0.0, -150.0], going(400.0))])
 

@@ -29,7 +29,9 @@ ALIKE = 0.3
 
 @inlined
 def lit_normal(objects: ObjectTables, packet: Any, arrives: bool, moving: Any) -> Place:
-    """Return the normal, on the lit side, at the point of a packet, in its frame; `NO_NORMAL` in a medium.
+    """Return the normal, on the lit side, at the point of a packet, in its frame.
+
+    `NO_NORMAL` in a medium, and without a tree, as nothing else uses the normal.
 
     Parameters
     ----------
@@ -40,7 +42,7 @@ def lit_normal(objects: ObjectTables, packet: Any, arrives: bool, moving: Any) -
         The packet has its direction of arrival; else of departure.
     moving : Moving or None
     """
-    if packet.facet == IN_FOG:
+    if packet.facet == IN_FOG or len(objects.emitters.nodes) == 0:
         return NO_NORMAL
     here, own = mover_of_frame(packet.frame), mover_of(moving, objects.facets[packet.facet].body)
     x, y, z = point_between(moving, here, own, packet.x, packet.y, packet.z)

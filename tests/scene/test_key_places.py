@@ -20,7 +20,10 @@ SCENE = Scene(camera=close_up_camera(), targets=[SPHERE], lights=[LAMP])
     ("path", "answer"),
     [
         ("targets[0].sides", "it is valid as Scene.targets[0].material.sides; valid here: file,"),
-        ("targets[0].material.position_mm", "it is valid as Scene.targets[0].position_mm; valid here:"),
+        (
+            "targets[0].material.position_mm",
+            "valid as Scene.targets[0].position_mm or Scene.targets[0].motion.poses[i].position_mm; valid here:",
+        ),
         ("camera.replicates", "it is valid as Scene.transport.replicates; valid here: focus_mm,"),
         ("camera.samples", "it is valid as Scene.particles[i].samples or Scene.transport.samples; valid here:"),
         ("camera.radius_mm", "Scene.camera.lens.surfaces[i].radius_mm"),

@@ -84,10 +84,10 @@ def _exposure(exposure: Exposure, rows: int) -> str:
 
 
 def _time(seconds: float) -> str:
-    for size, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")):
-        if seconds >= size:
-            return f"{seconds / size:.4g} {unit}"
-    return f"{seconds * 1e9:.4g} ns"
+    for factor, unit in ((1.0, "s"), (1e3, "ms"), (1e6, "µs")):
+        if factor * seconds >= 1.0:
+            return f"{factor * seconds:.4g} {unit}"
+    return f"{1e9 * seconds:.4g} ns"
 
 
 def _movers(world: World) -> Iterator[_Mover]:
@@ -221,8 +221,8 @@ def _turn_deg(poses: list[Array]) -> float:
     turns = np.stack([other[:, :3] @ one[:, :3].T for one, other in pairwise(poses)])
     off = np.stack([turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]])
     angles = np.arctan2(np.linalg.norm(off, axis=0), np.trace(turns, axis1=1, axis2=2) - 1.0)
-    total = float(np.degrees(angles.sum()))
-    return total if total > 1e-9 else 0.0
+    # Rounded, as what turns with the camera does so to rounding.
+    return round(float(np.degrees(angles.sum())), 6)
 
 
 def _blur(tracks: Array, times: Array, scene: Scene, facts: FirstOrder) -> str | None:

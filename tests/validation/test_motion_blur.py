@@ -68,8 +68,8 @@ def panned() -> Array:
 
 
 def at(x: float) -> tuple[float, float, float]:
-    """Return the position of a plane between FAR and x."""
-    return 0.5 * (FAR + x), 0.0, -FOCUS_MM
+    """Return the position of the plane with its edge at x."""
+    return x - 0.5 * (START - FAR), 0.0, -FOCUS_MM
 
 
 EDGES: dict[str, tuple[Tables, Tables, Array]] = {

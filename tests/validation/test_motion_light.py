@@ -40,10 +40,10 @@ M2 = 1e6
 """mm² in a square metre."""
 
 LAMP: Tables = {"kind": "point", "power_w": 1.0}
-START, HEIGHT = np.array([-18.0, 6.0]), 20.0
+START, HEIGHT = np.array([-18.0, 4.0]), 12.0
 """x and y of a lamp at the begin, and its distance from the wall, mm."""
 
-SPEED = 3600.0
+SPEED = 2000.0
 
 
 def lit(lamp: Tables, method: str = "adjoint", **keys: Any) -> lf.Scene:
@@ -88,7 +88,7 @@ def test_a_lamp_that_passes_a_wall_lights_it_by_the_integral_over_its_path(mover
     last = first - SPEED * DURATION_S
     integral = (first / np.sqrt(square + first**2) - last / np.sqrt(square + last**2)) * HEIGHT / (square * SPEED)
     irradiance = M2 / (4.0 * np.pi) * integral.mean(axis=-1) / DURATION_S
-    assert irradiance.max() / irradiance.min() > 1.15
+    assert irradiance.max() / irradiance.min() > 1.5
     compared(scene, irradiance, 0.002 if method == "adjoint" else 0.02)
 
 
@@ -111,7 +111,7 @@ def test_a_searchlight_lights_a_wall_while_its_cone_is_there(
     offset = np.concatenate([at, np.full((*at.shape[:-1], 1), -FOCUS_MM)], axis=-1) - BESIDE
     distance = np.linalg.norm(offset, axis=-1)
     times = DURATION_S * (np.arange(20_000) + 0.5) / 20_000
-    axis = Rotation.from_rotvec(np.deg2rad(np.multiply.outer(times, spin))).apply(first)
+    axis = Rotation.from_rotvec(np.deg2rad(np.multiply.outer(times, spin))).apply(first / np.linalg.norm(first))
     shares = np.array([
         (axis @ unit > np.cos(np.deg2rad(HALF_DEG))).mean() for unit in (offset / distance[..., None]).reshape(-1, 3)
     ]).reshape(distance.shape)  # fmt: skip

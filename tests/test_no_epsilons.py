@@ -79,6 +79,7 @@ DIMENSIONLESS = {
     "transport/tables/emitter_tree.py": {"MARGIN"},
     "transport/tables/lamp_tree.py": {"GRAIN", "MARGIN"},
     "transport/tables/lens.py": {"STEEPER"},
+    "transport/tables/motion_tables.py": {"ROOM"},
     "transport/tables/particles.py": {"UM2"},
     "transport/tables/volumes.py": {"COLDEST_K", "ROUNDING"},
     "transport/refused_fields.py": {"PARALLEL", "ROUNDING"},

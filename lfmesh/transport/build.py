@@ -218,10 +218,10 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     refuse_untraceable_motion(scene, targets, (shape, housing), moves, objects.volumes, bent)
     fields = bending_fields(bent, moves, objects.media.indices[AIR], book.trapped)
     if fields is not None:
-        standing = [t.hull.moved(moves[WORLD_FRAME, OBJECT_FRAME]).vertices for t in targets]
+        corners = [t.hull.moved(moves[WORLD_FRAME, OBJECT_FRAME]).vertices for t in targets]
         if motions is not None:
-            standing = [_held_throughout(motions, i, hull) for i, hull in enumerate(hulls)]
-        fields = with_free(fields, [*standing, housing.moved(moves[CAMERA_FRAME, OBJECT_FRAME]).vertices])
+            corners = [_held_throughout(motions, i, hull) for i, hull in enumerate(hulls)]
+        fields = with_free(fields, [*corners, housing.moved(moves[CAMERA_FRAME, OBJECT_FRAME]).vertices])
         fields = with_short_chords(fields, pixel_sizes(bent, scene, report))
     objects = with_fields(objects, fields, scene, object_mesh)
     columns, rows = scene.camera.sensor.pixels
@@ -300,8 +300,10 @@ def _moving_finders(mesh: Mesh, bodies: NDArray[np.int64], motions: Motions | No
         Target of each facet; −1: the housing.
     motions : Motions or None
     """
+    if motions is None:
+        return ()
     finders = []
-    for mover in range(0 if motions is None else len(motions.bounds)):
+    for mover in range(len(motions.bounds)):
         own = np.flatnonzero(motions.of_target[bodies] == mover)
         used, faces = np.unique(mesh.faces[own], return_inverse=True)
         part, owners = divided(Mesh(mesh.vertices[used], faces.reshape(-1, 3)), bodies[own])

@@ -65,7 +65,7 @@ def _passed(volumes: Any, haze: Haze, ray: int, begin: float, end: float) -> flo
         return clear
     o, d = haze.origin[ray], haze.direction[ray]
     x, y, z = o[0] + begin * d[0], o[1] + begin * d[1], o[2] + begin * d[2]
-    line = Line(Ray(x, y, z, d[0], d[1], d[2]), haze.place[ray], haze.colour[ray])
+    line = Line(Ray(x, y, z, d[0], d[1], d[2]), haze.place[ray], haze.colour[ray], None, 0)
     passage = pass_through(volumes, line, end - begin, haze.book, 0.0, np.uint64(0))
     return passage.transmittance * clear
 

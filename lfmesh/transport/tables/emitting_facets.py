@@ -112,14 +112,15 @@ def _trees(
     if movers is None:
         return *emitter_tree(bounds), None
     of_piece = movers[objects.facets["body"][facet]]
-    orders, forest, trees, count = [], [], [], 0
+    orders: list[NDArray[np.int64]] = []
+    forest, trees, count = [], [], 0
     for mover in np.unique(of_piece):
         own = np.flatnonzero(of_piece == mover)
-        order, nodes = emitter_tree(Bounds(*(column[own] for column in bounds)))
+        order, nodes = emitter_tree(Bounds._make(column[own] for column in bounds))
         trees.append((count, mover))
         nodes["right"][nodes["right"] > 0] += count
         for name in ("begin", "end"):
-            nodes[name] += sum(map(len, orders))
+            nodes[name] += sum(len(earlier) for earlier in orders)
         count += len(nodes)
         orders.append(own[order])
         forest.append(nodes)

@@ -6,11 +6,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import SceneError
+from lfmesh.errors import GlassError, SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.voxels import INDEX_QUANTITIES, OF_LINES, VoxelGrid, quantities_in, read_voxels
 from lfmesh.optics.gladstone_dale import air_density
 from lfmesh.optics.glass import refractive_index
+from lfmesh.optics.gradient_range import InBox, index_range
 from lfmesh.optics.gradient_shapes import GradientProfile
 from lfmesh.optics.gradients import fields_at, gradient_table
 from lfmesh.optics.index_fields import IndexField, field_table, index_field, indices_at
@@ -189,6 +190,10 @@ def index_medium(scene: Scene, number: int, wavelengths_nm: tuple[float, ...]) -
     grid = _grid_of(scene, medium, name)
     bounds = _bounds(medium, grid, name)
     if isinstance(medium.index, Gradient):
+        try:
+            medium.index.check_region(InBox.of(*bounds))
+        except GlassError as error:
+            raise SceneError(f"{name}: index: {error}") from None
         formulas = tuple(medium.index.profile(each) for each in wavelengths_nm)
         return IndexMedium(number, name, to_world, bounds, None, formulas)
     try:
@@ -297,16 +302,30 @@ def _refuse_steps(scene: Scene, medium: IndexMedium, wavelengths_nm: tuple[float
     camera = scene.camera
     matter = camera.object_medium or camera.lens.object_medium
     outside = in_air(matter, camera.air).medium if matter is not None else None
-    points = np.concatenate(_face_points(medium))
+    points = np.concatenate(_face_points(medium)) if medium.field is not None else np.zeros((0, 3))
     for column, wavelength in enumerate(wavelengths_nm):
         around = refractive_index(outside, wavelength)
-        found = medium.indices(column, points)
+        try:
+            found = medium.indices(column, points) if medium.field is not None else _on_faces(medium, column)
+        except GlassError as error:
+            raise SceneError(f"{medium.name}: index: {error}; give smaller coefficients") from None
         step = float(np.abs(found - around).max())
         if not step <= LARGEST_STEP:
             raise SceneError(
                 f"{medium.name}: its index differs by {step:.3g} from {around:.6g} around it at a face of its bounds, "
                 f"and at most {LARGEST_STEP:g} is traced; enlarge the field until it fades, or give a body of glass"
             )
+
+
+def _on_faces(medium: IndexMedium, column: int) -> Array:
+    """Return the smallest and the largest index of a formula on each face of its box, (12,)."""
+    found = []
+    for axis in range(3):
+        for at in medium.bounds_mm[:, axis]:
+            low, high = medium.bounds_mm.copy()
+            low[axis] = high[axis] = at
+            found += [each.value for each in index_range(medium.formulas[column], InBox.of(low, high))]
+    return np.array(found)
 
 
 def _face_points(medium: IndexMedium) -> list[Array]:

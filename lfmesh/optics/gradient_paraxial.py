@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import GlassError
-from lfmesh.optics.gradient_shapes import REVOLVED, GradientProfile, paraxial_at
+from lfmesh.optics.gradient_shapes import REVOLVED, GradientProfile, kink_per_mm, paraxial_at
 
 Array = NDArray[np.float64]
 GapMatrix = tuple[float, float, float, float]
@@ -25,6 +25,9 @@ NODES = np.array([0.5 - sqrt(0.15), 0.5, 0.5 + sqrt(0.15)])
 
 PRECISION = 1e-12
 """Relative change of the matrix on doubling the steps, at which the finer one is accepted; its error is a 64th."""
+
+FASTEST = 350.0
+"""Largest phase or exponent of a ray within a step; products of exponentials of twice this do not overflow."""
 
 FEWEST_STEPS, MOST_STEPS = 8, 1 << 16
 
@@ -83,6 +86,10 @@ def gap_and_sizes(
     """
     if length_mm == 0.0:
         return _UNIT, _UNIT
+    if (kink := kink_per_mm(profile)) != 0.0 and 0.0 <= profile.numbers[0] <= length_mm:
+        raise GlassError(
+            f"gradient index: it has a kink of {kink:.3g} per mm on the axis at z = {profile.numbers[0]:g} mm"
+        )
     index, rate = _along_axis(profile, np.linspace(0.0, length_mm, FEWEST_STEPS + 1), section_x)
     # A zero of b or c, as of a rod of half a period, is a difference of terms of these sizes.
     sizes = 1.0, float(length_mm / index.min()), float(length_mm * np.abs(rate / index).max()), 1.0
@@ -154,6 +161,8 @@ def _commutator(left: Array, right: Array) -> Array:
 def _exponential(a: float, b: float, c: float) -> GapMatrix:
     """Return the exponential of [[a, b], [c, −a]], whose square is (a² + b c) times the unit matrix."""
     square = a * a + b * c
+    if not abs(square) <= FASTEST * FASTEST:
+        raise GlassError("gradient index: it changes too fast across the axis")
     if square < 0.0:
         angle = sqrt(-square)
         even, odd = cos(angle), sin(angle) / angle

@@ -32,7 +32,7 @@ the formula: a ray turns back before it gets there, and an integrator needs the 
 
 from collections.abc import Sequence
 from fractions import Fraction
-from math import comb, copysign, isinf
+from math import comb, copysign, inf, isinf
 from typing import NamedTuple
 
 import numpy as np
@@ -101,9 +101,26 @@ class GradientMaterial(NamedTuple):
 
 _NO_MATERIAL = np.zeros(0)
 
-SMOOTH = 1e-9
-"""Slope of a spherical profile at its centre, over the radius and the second derivative, below which it is rounding.
-The profile then has a curvature at its centre."""
+SMOOTH = 1e-6
+"""Slope of a spherical profile at its centre, over the sum of the magnitudes of its terms, below which the profile
+counts as smooth there. The kink turns a ray by at most about this fraction of what the profile turns rays by, and
+coefficients with seven digits have one of this size."""
+
+
+def kink_per_mm(profile: GradientProfile) -> float:
+    """Return the slope of the index at the centre of a spherical profile, 1/mm; 0 if it is rounding, or without one.
+
+    Parameters
+    ----------
+    profile : GradientProfile
+    """
+    if profile.kind != SPHERICAL:
+        return 0.0
+    slope = polynomial.polyder(profile.numbers[1:])
+    with np.errstate(over="ignore", invalid="ignore"):
+        terms = slope * np.power(profile.numbers[0], np.arange(len(slope)))
+    kink = float(terms.sum())
+    return 0.0 if abs(kink) <= SMOOTH * float(np.abs(terms).sum()) else kink
 
 
 def revolved_profile(coefficients: ArrayLike, quantity: int = INDEX) -> GradientProfile:
@@ -211,8 +228,19 @@ def gradium_profile(coefficients: Sequence[float], length_mm: float, offset_mm: 
     """
     given = [Fraction(n) / Fraction(length_mm) ** i for i, n in enumerate(coefficients)]
     offset = Fraction(offset_mm)
-    about = [sum(comb(i, j) * given[i] * offset ** (i - j) for i in range(j, len(given))) for j in range(len(given))]
-    return revolved_profile([[float(each) for each in about]])
+    powers = range(len(given))
+    about = [
+        sum((comb(i, j) * given[i] * offset ** (i - j) for i in powers[j:]), start=Fraction(0)) for j in powers
+    ]  # fmt: skip
+    return revolved_profile([[_rounded(each) for each in about]])
+
+
+def _rounded(value: Fraction) -> float:
+    """Return the nearest float64, infinite beyond its range."""
+    try:
+        return float(value)
+    except OverflowError:
+        return inf if value > 0 else -inf
 
 
 def at_wavelength(profile: GradientProfile, material: GradientMaterial, wavelength_nm: float) -> GradientProfile:
@@ -268,9 +296,8 @@ def _polynomial_on_axis(profile: GradientProfile, z: Array) -> tuple[Array, Arra
         slope = polynomial.polyder(coefficients)
         rate = _valued(slope, t)
         # The slope over its distance from the centre, without the difference of equal numbers there.
-        quotient, at_centre = polynomial.polydiv(slope, [-radius, 1.0])
-        if abs(at_centre[0]) <= SMOOTH * abs(radius * _valued(quotient, radius)):
-            across = _valued(quotient, t)
+        if kink_per_mm(profile) == 0.0:
+            across = _valued(polynomial.polydiv(slope, [-radius, 1.0])[0], t)
         else:
             across = -sign * rate / from_centre
         return _valued(coefficients, t), sign * rate * np.sign(radius - z), across, across

@@ -15,6 +15,7 @@ from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.phase_lines import least_period_mm
 from lfmesh.scene.first_order.relay import relay_of
 from lfmesh.scene.first_order.solve import focus_wished_mm
+from lfmesh.scene.gradient_advice import gradient_warnings
 from lfmesh.scene.light.particles import shining_particles
 from lfmesh.scene.literals import percent
 from lfmesh.scene.model import format_path
@@ -50,6 +51,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_covering(facts),
         *section_warnings(scene, facts),
         *relay_warnings(scene, facts),
+        *gradient_warnings(scene),
         *(_apertures(scene, facts) if facts.working_f_number else ()),
         *_beyond_norm(scene),
         *_thin_layers(scene),

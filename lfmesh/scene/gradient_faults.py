@@ -1,9 +1,34 @@
 """Faults of gradient-index glass beside the settings of a render, and beside the scene's coatings."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
+from lfmesh.errors import GlassError
+from lfmesh.scene.first_order.paraxial import gradient_gap
 from lfmesh.scene.model import Fault, Location
 from lfmesh.scene.scene_parts import SceneParts
+
+
+def index_faults(scene: SceneParts, wavelengths_nm: Sequence[float]) -> Iterator[Fault]:
+    """Yield gradient-index glass whose index leaves the valid range within it, or changes too fast.
+
+    Parameters
+    ----------
+    scene : SceneParts
+    wavelengths_nm : sequence of float
+    """
+    faulty: set[Location] = set()
+    lengths = {where: length for where, _, length in scene.gradients()}
+    for where, gradient, region in scene.gradient_regions():
+        if where in faulty:
+            continue
+        try:
+            gradient.check_region(region)
+            for wavelength in wavelengths_nm:
+                gradient.check_within(wavelength, region)
+                gradient_gap(gradient, wavelength, lengths[where])
+        except GlassError as error:
+            faulty.add(where)
+            yield Fault(where, None, str(error))
 
 
 def gradient_faults(scene: SceneParts) -> Iterator[Fault]:

@@ -10,7 +10,7 @@ from lfmesh.optics.metals import metal_index
 from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.mla import MicrolensArray
 from lfmesh.scene.camera.surface import Surface
-from lfmesh.scene.gradient_faults import gradient_faults
+from lfmesh.scene.gradient_faults import gradient_faults, index_faults
 from lfmesh.scene.light.spectra import Spectrum, curve_of
 from lfmesh.scene.literals import counted
 from lfmesh.scene.materials.coatings import name_fault, unknown_fault
@@ -36,7 +36,7 @@ def scene_faults(scene: SceneParts) -> Iterator[Fault]:
     ----------
     scene : SceneParts
     """
-    glasses = list(_glass_faults(scene))
+    glasses = [*_glass_faults(scene), *index_faults(scene, _checked_nm(scene))]
     yield from glasses
     if not glasses:
         yield from _lenslet_faults(scene)
@@ -269,13 +269,10 @@ def _glass_faults(scene: SceneParts) -> Iterator[Fault]:
             except GlassError as error:
                 yield Fault(("targets", i, "material", "gloss", "metal"), None, str(error))
                 break
-    ends = {where: length for where, _, length in scene.gradients()}
     for where, medium in media:
-        for wavelength in _checked_nm(scene):
+        for wavelength in _checked_nm(scene) if not isinstance(medium, Gradient) else ():
             try:
                 refractive_index(medium, wavelength)
-                if isinstance(medium, Gradient):
-                    medium.check_axis(wavelength, ends[where])
             except GlassError as error:
                 yield Fault(where, None, str(error))
                 break

@@ -8,9 +8,11 @@ from pydantic import Field, PrivateAttr
 
 from lfmesh.errors import SceneError
 from lfmesh.optics.glass import Medium as GlassOrAir
+from lfmesh.optics.gradient_range import GlassRegion
 from lfmesh.scene.camera.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.gradient import Gradient
+from lfmesh.scene.camera.gradient_regions import cell_regions, lens_region
 from lfmesh.scene.camera.phase import Phase
 from lfmesh.scene.inputs import file_stamp, found
 from lfmesh.scene.light.lights import Light
@@ -283,6 +285,23 @@ class SceneParts(Model):
         mla = self.camera.mla
         if mla is not None and mla.gradient is not None:
             yield ("camera", "mla", "gradient"), mla.gradient, mla.thickness_mm
+
+    def gradient_regions(self) -> Iterator[tuple[Location, Gradient, GlassRegion]]:
+        """Yield the location of each gradient-index glass, the glass, and the region that it fills.
+
+        Yields
+        ------
+        location : tuple of str and int
+            Keys from the scene's root; the same several times for an array with several types of lenslets.
+        gradient : Gradient
+        region : GlassRegion
+        """
+        lens, mla = self.camera.lens, self.camera.mla
+        for where, gradient, _ in self.gradients():
+            if isinstance(where[-2], int):
+                yield where, gradient, lens_region(lens, where[-2])
+            elif mla is not None:
+                yield from ((where, gradient, region) for region in cell_regions(mla))
 
     def rough_in_camera(self) -> list[Location]:
         """Return the locations of finishes that scatter light on the lens and array.

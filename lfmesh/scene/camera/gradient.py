@@ -11,17 +11,20 @@ from pydantic import Field
 from lfmesh.errors import GlassError
 from lfmesh.optics.glass import D_LINE_NM
 from lfmesh.optics.gradient_paraxial import index_on_axis
+from lfmesh.optics.gradient_range import GlassRegion, IndexRange, depth_range, index_range
 from lfmesh.optics.gradient_shapes import (
     GradientMaterial,
     GradientProfile,
     at_wavelength,
     gradium_profile,
+    kink_per_mm,
     radial_and_axial_profile,
     radial_square_profile,
     selfoc_profile,
     separable_profile,
     spherical_profile,
 )
+from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import Coefficient, Index, Number, Positive, Radius
 
@@ -45,10 +48,10 @@ MOST_DISPERSION_TERMS = 8
 """Maximum number of terms of the dispersion, and of coefficients of each."""
 
 LOWEST, HIGHEST = 1.0, 10.0
-"""Bounds of the index on the axis."""
+"""Bounds of the index."""
 
-AXIS_POINTS = 32
-"""Number of equal parts of a gap between which the index on the axis is checked."""
+ROUNDING = 1e-8
+"""Relative rounding of the smallest and largest index of a region."""
 
 Coefficients = Annotated[tuple[Coefficient, ...], Field(max_length=MOST_TERMS)]
 GivenCoefficients = Annotated[tuple[Coefficient, ...], Field(min_length=1, max_length=MOST_TERMS)]
@@ -144,21 +147,70 @@ class Gradient(Model):
             )
         return index
 
-    def check_axis(self, wavelength_nm: float, length_mm: float) -> None:
-        """Refuse an index on the axis that leaves the range from 1 to 10 between two vertices.
+    def index_range(self, wavelength_nm: float, region: GlassRegion) -> IndexRange:
+        """Return the smallest and largest index over all of a region.
 
         Parameters
         ----------
         wavelength_nm : float
-        length_mm : float
-            Distance between the vertices.
+        region : GlassRegion
+
+        Returns
+        -------
+        IndexRange
+
+        Raises
+        ------
+        GlassError
+            A term of the formula is too large to be evaluated.
+        """
+        return _index_range(self, float(wavelength_nm), region)
+
+    def check_within(self, wavelength_nm: float, region: GlassRegion) -> None:
+        """Refuse an index that leaves the range from 1 to 10 anywhere in a region.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+        region : GlassRegion
 
         Raises
         ------
         GlassError
         """
-        for k in range(AXIS_POINTS + 1):
-            self.index_on_axis(wavelength_nm, length_mm * k / AXIS_POINTS)
+        valid = f"it must lie between {LOWEST:g} and {HIGHEST:g} in all of the glass"
+        try:
+            found = self.index_range(wavelength_nm, region)
+        except GlassError as error:
+            raise GlassError(f"gradient at {wavelength_nm:g} nm: {error}; {valid}") from None
+        for each in found:
+            if not LOWEST * (1.0 - ROUNDING) <= each.value <= HIGHEST * (1.0 + ROUNDING):
+                raise GlassError(f"gradient at {wavelength_nm:g} nm: {each.in_words()}; {valid}")
+
+    def beyond(self, region: GlassRegion) -> str:
+        """Return how far a region reaches beyond the glass that the formula describes, and what to give, or "".
+
+        Parameters
+        ----------
+        region : GlassRegion
+
+        Returns
+        -------
+        str
+        """
+        return ""
+
+    def check_region(self, region: GlassRegion) -> None:
+        """Refuse a region for which the formula is not made.
+
+        Parameters
+        ----------
+        region : GlassRegion
+
+        Raises
+        ------
+        GlassError
+        """
 
     def _shape(self, wavelength_nm: float) -> GradientProfile:
         raise NotImplementedError
@@ -281,6 +333,26 @@ class SphericalGradient(DispersiveGradient):
     """Radius R of the sphere of constant index through the vertex, in mm: positive when the centre lies towards the
     sensor."""
 
+    def check_region(self, region: GlassRegion) -> None:
+        """Refuse glass around a centre at which the index has a kink.
+
+        Parameters
+        ----------
+        region : GlassRegion
+
+        Raises
+        ------
+        GlassError
+        """
+        axis = (np.zeros(1),) * 2
+        (low,), (high,) = region.depths(axis)
+        kink = kink_per_mm(self.profile(D_LINE_NM))
+        if kink != 0.0 and region.radii_mm[0] == 0.0 and low <= self.radius_mm <= high:
+            raise GlassError(
+                f"the index has a kink at the centre of its spheres, z = {self.radius_mm:g} mm on the axis, where its "
+                f"slope is {kink:.3g} per mm; give coefficients with a slope of 0 there"
+            )
+
     def _shape(self, wavelength_nm: float) -> GradientProfile:
         return spherical_profile(self.radius_mm, (self.index, *self.coefficients))
 
@@ -355,7 +427,33 @@ class GradiumGradient(DispersiveGradient):
     blank_mm: Positive
     """Length of the blank, in mm."""
     offset_mm: Number = 0.0
-    """Depth of the vertex of the surface in front in the blank, in mm."""
+    """Depth of the vertex of the surface in front in the blank, in mm. The blank should contain all of the glass;
+    `check` warns where it does not."""
+
+    def beyond(self, region: GlassRegion) -> str:
+        """Return how far the glass reaches beyond the blank, and what to give, or "".
+
+        Parameters
+        ----------
+        region : GlassRegion
+
+        Returns
+        -------
+        str
+        """
+        low, high = depth_range(region)
+        rounding = ROUNDING * self.blank_mm
+        first, last = self.offset_mm + low, self.offset_mm + high
+        if first >= -rounding and last <= self.blank_mm + rounding:
+            return ""
+        room = self.blank_mm - (high - low)
+        valid = f"blank_mm = {at_least(high - low)} or more"
+        if room > 0.0:
+            valid = f"offset_mm from {at_least(0.0 - low)} to {at_most(room - low)}"
+        return (
+            f"the glass reaches from {first:.6g} to {last:.6g} mm in a blank of {self.blank_mm:g} mm. The formula is "
+            f"continued outside the blank, as in OpticStudio, but there is no such glass; give {valid}"
+        )
 
     def _shape(self, wavelength_nm: float) -> GradientProfile:
         return gradium_profile(self.coefficients, self.blank_mm, self.offset_mm)
@@ -377,7 +475,15 @@ AnyGradient = Annotated[
 @lru_cache(maxsize=256)
 def _profile(gradient: Gradient, wavelength_nm: float) -> GradientProfile:
     """Return the profile without dispersion."""
-    return gradient._shape(wavelength_nm)
+    # Numbers beyond float64 are refused by the range of the index.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return gradient._shape(wavelength_nm)
+
+
+@lru_cache(maxsize=256)
+def _index_range(gradient: Gradient, wavelength_nm: float, region: GlassRegion) -> IndexRange:
+    """Return the range of the index; cached, as a study asks for the same glass thousands of times."""
+    return index_range(gradient.profile(wavelength_nm), region)
 
 
 def _filled(rows: tuple[tuple[float, ...], ...]) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from lfmesh.optics.glass import AIR, refractive_index
 from lfmesh.optics.gradient_paraxial import gap_and_sizes
+from lfmesh.optics.gradient_range import OnAxis
 from lfmesh.scene.camera.gradient import Gradient
 from lfmesh.scene.camera.lens import Lens
 
@@ -93,9 +94,9 @@ def gradient_gap(gradient: Gradient, wavelength_nm: float, length_mm: float, sec
     Raises
     ------
     GlassError
-        The index on the axis is not between 1 and 10.
+        The index on the axis is not between 1 and 10, or changes too fast.
     """
-    gradient.check_axis(wavelength_nm, length_mm)
+    gradient.check_within(wavelength_nm, OnAxis(length_mm))
     end_index = gradient.index_on_axis(wavelength_nm, length_mm)
     matrix, size = gap_and_sizes(gradient.profile(wavelength_nm), length_mm, section_x=section_x)
     return GradientGap(Matrix(*matrix), Matrix(*size), end_index)

@@ -17,7 +17,10 @@ Array = NDArray[np.float64]
 INDEX_KEYS = ("index", "density_kg_m3", "pressure_kpa")
 """Quantities that set the index of a medium, a pressure together with `temperature_k`; in a key or in a grid."""
 
-FieldNumber = Annotated[float, Field(strict=True, gt=0, le=10)]
+MOST_INDEX = 10.0
+"""Largest index of a medium, relative to air."""
+
+FieldNumber = Annotated[float, Field(strict=True, gt=0, le=MOST_INDEX)]
 """An index relative to air; that of hot air is below 1."""
 
 

@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import SceneError
+from lfmesh.errors import GlassError, SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.index_media import IndexMedium, index_media
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.optics.gradient_range import InBox, index_range
 from lfmesh.optics.gradient_shapes import GradientProfile
 from lfmesh.optics.gradients import Gradients, field_at, fields_at, gradient_table
 from lfmesh.optics.index_field_path import INSIDE, deflections, follower
@@ -29,7 +30,7 @@ from lfmesh.optics.index_fields import (
 )
 from lfmesh.scene import Scene
 from lfmesh.scene.camera.gradient import Gradient
-from lfmesh.scene.media.bending import density_law
+from lfmesh.scene.media.bending import MOST_INDEX, density_law
 from lfmesh.transport.packets.packet import OBJECT_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import AIR, Media
 
@@ -156,10 +157,7 @@ def bending_media(scene: Scene, wavelengths_nm: tuple[float, ...]) -> list[Field
 def _by_formula(medium: IndexMedium) -> FieldMedium:
     """Return a medium with an index by a formula, with the steps that probe rays need."""
     box, formulas = medium.bounds_mm, gradient_table(medium.formulas)
-    points = _points_in(box)
-    squares = np.array([fields_at(formulas, row, points)[:, 0] for row in range(len(medium.formulas))])
-    if not (squares > 0.0).all():
-        raise SceneError(f"{medium.name}: index: n² = {squares.min():.6g} in its box; it must be positive everywhere")
+    _refuse_extremes(medium)
     rays = _rays_through(formulas, box)
     cells, truth = FEWEST_CELLS, _ends(formulas, box, rays, 2 * MOST_CELLS)
     largest, error = float(deflections(rays, truth[0]).max(initial=0.0)), np.inf
@@ -184,10 +182,17 @@ def _uniform(box: Array, cells: int, wavelengths: int) -> IndexField:
     )
 
 
-def _points_in(box: Array) -> Array:
-    """Return a lattice of points in a box, (n, 3)."""
-    steps = np.linspace(0.0, 1.0, 17)
-    return box[0] + (box[1] - box[0]) * np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+def _refuse_extremes(medium: IndexMedium) -> None:
+    """Refuse a formula whose index leaves the range of valid ones anywhere in its box."""
+    valid = f"it must be above 0 and at most {MOST_INDEX:g} in all of its box"
+    for profile in medium.formulas:
+        try:
+            found = index_range(profile, InBox.of(*medium.bounds_mm))
+        except GlassError as error:
+            raise SceneError(f"{medium.name}: index: {error}; {valid}") from None
+        for each in found:
+            if not 0.0 < each.value <= MOST_INDEX:
+                raise SceneError(f"{medium.name}: {each.in_words()}; {valid}")
 
 
 def _rays_through(formulas: Gradients, box: Array) -> Array:

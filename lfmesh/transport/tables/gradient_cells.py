@@ -13,6 +13,9 @@ from lfmesh.optics.gradient_path import PROBE_PRECISION, arriving_probes, least_
 from lfmesh.optics.gradient_shapes import GradientProfile
 from lfmesh.optics.gradients import fields_at, gradient_table
 from lfmesh.scene import Scene
+from lfmesh.scene.camera.gradient import Gradient
+from lfmesh.scene.camera.gradient_regions import cell_regions
+from lfmesh.scene.camera.mla import ArrayForm, MicrolensArray
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, CellGradients, MlaTables
 
 Array = NDArray[np.float64]
@@ -53,6 +56,7 @@ def with_gradient_cells(scene: Scene, mla: MlaTables, wavelengths_nm: tuple[floa
     profiles = [given.gradient.profile(wavelength_nm) for wavelength_nm in wavelengths_nm]
     curved, outside = mla if mla.row == CURVED_ROW else mla.back, mla.media.indices[AIR]
     try:
+        _check_form(given, given.gradient, curved.lenslets, wavelengths_nm)
         found = [_of_wavelength(profile, mla, float(n)) for profile, n in zip(profiles, outside, strict=True)]
     except GlassError as error:
         raise SceneError(f"camera.mla.gradient: {error}") from error
@@ -68,6 +72,30 @@ def with_gradient_cells(scene: Scene, mla: MlaTables, wavelengths_nm: tuple[floa
         clear_walls=given.walls == "clear",
     )
     return _with_cells(mla, cells)
+
+
+def _check_form(
+    mla: MicrolensArray, gradient: Gradient, lenslets: Lenslets, wavelengths_nm: tuple[float, ...]
+) -> None:  # fmt: skip
+    """Refuse an index that leaves the valid range in a cell with errors of form.
+
+    Parameters
+    ----------
+    mla : MicrolensArray
+    gradient : Gradient
+    lenslets : Lenslets
+        Of the curved face, with the errors.
+    wavelengths_nm : (wavelengths,) tuple of float
+    """
+    if mla.form == ArrayForm():
+        return
+    # The axis of a decentred lenslet lies nearer to one wall, and farther from the opposite one.
+    pitch = lenslets.lattice.pitch + 2.0 * float(np.abs(lenslets.decentre).max(initial=0.0))
+    stretches = (float(lenslets.stretch.min()), float(lenslets.stretch.max())) if len(lenslets.stretch) else (1.0,)
+    for region in cell_regions(mla, pitch, stretches):
+        gradient.check_region(region)
+        for wavelength_nm in wavelengths_nm:
+            gradient.check_within(wavelength_nm, region)
 
 
 def at_colours(mla: MlaTables, colours: NDArray[np.int64]) -> MlaTables:

@@ -332,12 +332,12 @@ def _lenslet_faults(scene: SceneParts) -> Iterator[Fault]:
     for wavelength in dict.fromkeys((scene.primary_nm, *_checked_nm(scene))):
         n, outside = (refractive_index(each, wavelength) for each in (plate, behind))
         # The ratio of two numbers that differ in the last digit can be 1.
-        if not n / outside > 1.0:
-            medium = "index" if mla.index is not None else _medium_key(mla)
+        if mla.bends_by_shape_alone and not n / outside > 1.0:
+            medium = "index" if mla.index is not None else "glass"
             beside = "the air" if outside == AIR else "the medium behind the lens"
             at = f" at {wavelength:g} nm" if wavelength != scene.primary_nm else ""
             yield Fault(
-                ("camera", "mla", medium), None if mla.gradient is not None else getattr(mla, medium),
+                ("camera", "mla", medium), getattr(mla, medium),
                 f"has the index {n:.6g} beside {beside}{at}; lenslets need an index above {outside:.6g}",
             )  # fmt: skip
             return

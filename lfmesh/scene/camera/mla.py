@@ -163,13 +163,16 @@ class MicrolensArray(Model):
         return self.has_back or bool(self.phases) or self.gradient is not None
 
     @property
+    def bends_by_shape_alone(self) -> bool:
+        """True if the lenslets have power by the shape of their glass alone, without a phase or gradient."""
+        return not self.phases and self.gradient is None
+
+    @property
     def main_section(self) -> Literal["x", "y"]:
-        """Section with the power of the curved face, or its larger power."""
+        """Section with the power of the curved face, or the larger power of a gradient; phases are not considered."""
         if self.cylinder_axis is not None:
             return "y" if self.cylinder_axis == "x" else "x"
-        in_x, _, in_y = self.curved_phase.curvature_rad_mm2 if self.curved_phase is not None else (0.0, 0.0, 0.0)
-        if self.gradient is not None:
-            in_x, in_y = self.gradient.curvatures
+        in_x, in_y = self.gradient.curvatures if self.gradient is not None else (0.0, 0.0)
         return "y" if abs(in_y) > abs(in_x) else "x"
 
     @property
@@ -365,5 +368,5 @@ class MicrolensArray(Model):
             yield Fault(("index",), None, "missing: give the plate's index, glass or gradient")
         elif self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
-        elif self.index == 1:
-            yield Fault(("index",), self.index, "must be above 1: a plate of air bends no light")
+        elif self.index == 1 and (self.bends_by_shape_alone or self.focal_length_mm is not None):
+            yield Fault(("index",), self.index, "must be above 1: a plate of air bends no light without a phase")

@@ -285,3 +285,22 @@ class TestLenslets:
         assert at.power_per_mm > 0.0
         rows = [line for line in lf.first_order(scene).lines() if line.startswith("lenslets, ")]
         assert any("x–z" in row and "no power" in row for row in rows)
+
+
+@pytest.mark.parametrize("index", [1.0, 1.3, 1.4, 1.6])
+def test_a_metalens_array_in_oil_needs_no_index_of_its_own(index: float) -> None:
+    """Its focal length in oil is that in air times the index of the oil, whatever its flat plate is made of."""
+    phase = {"kind": "metalens", "focal_length_mm": 2.0, "design_nm": 587.6}
+    mla = {"count": [4, 4], "pitch_mm": 0.5, "index": index, "thickness_mm": 0.3, "curved_phase": phase}
+    front = {"radius_mm": 50.0, "thickness_mm": 3.0, "index": 1.5168, "semi_diameter_mm": 5.0, "stop": True}
+    camera: dict[str, Any] = {
+        "focus_mm": 500.0, "image_medium": {"index": 1.4}, "lens": {"surfaces": [front, {"semi_diameter_mm": 5.0}]},
+        "mla": mla, "sensor": {"pixels": [16, 16], "pixel_mm": 0.1},
+    }  # fmt: skip
+    (section,) = lf.first_order(lf.Scene(camera=camera)).lenslet_sections
+    assert section.focal_length_mm == pytest.approx(2.8, rel=1e-12)
+    assert section.focus_behind_mm == pytest.approx(2.8 - 0.3 * 1.4 / index, rel=1e-12)
+    glass = {key: value for key, value in mla.items() if key != "curved_phase"} | {"radius_mm": 1.0}
+    if index <= 1.4:
+        with pytest.raises(lf.SceneError, match=r"mla\.index = 1\.\d: (has the index|must be above 1)"):
+            lf.Scene(camera=camera | {"mla": glass})

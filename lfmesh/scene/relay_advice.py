@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from lfmesh.scene.camera.lenslet_optics import sections
+from lfmesh.scene.camera.lenslet_optics import main_section, sections
 from lfmesh.scene.first_order.paraxial import ROUNDED
 from lfmesh.scene.first_order.relay import FOCUSED_BLUR_PX, conjugate, relay_of
 from lfmesh.scene.scene import Scene
@@ -39,9 +39,10 @@ def relay_warnings(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         several = [f"{mla.types} types"] if mla.types > 1 else []
         several += ["different power in x and y"] if len(sections(mla)) > 1 else []
         if several:
+            main = main_section(scene.camera, scene.primary_nm)
             yield (
                 f"the lenslets have {' and '.join(several)}: plane in focus, sampling and field of view are for the "
-                f"first type in the {mla.main_section}–z section. The others image other planes"
+                f"first type in the {main}–z section. The others image other planes"
             )
     elif facts.focused:
         if any(abs(at.to_sensor_mm) * ROUNDED > 1e-3 * pixel for at in facts.focused):

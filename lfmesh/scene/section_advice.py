@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.scene.camera.phase import Phase
+from lfmesh.scene.first_order.lenslets import LONGEST_LINE, line_share
+from lfmesh.scene.first_order.relay import FOCUSED_BLUR_PX
 from lfmesh.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ def section_warnings(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     """
     yield from _between_sections(scene)
     yield from _sections(facts)
+    yield from _lenslets(scene)
 
 
 def _between_sections(scene: Scene) -> Iterator[str]:
@@ -77,4 +80,15 @@ def _sections(facts: "FirstOrder") -> Iterator[str]:
         yield (
             "the lens is astigmatic: the plane in focus in y has its image in x "
             f"{abs(facts.image_x_shift_mm):.4g} mm {side} the array or sensor"
+        )
+
+
+def _lenslets(scene: Scene) -> Iterator[str]:
+    """Warn of lenslets with a little different power in two sections, which are decoded as if they had one."""
+    mla, share = scene.camera.mla, line_share(scene.camera, scene.primary_nm)
+    pixels = share * mla.pitch_mm / scene.camera.sensor.pixel_mm if mla is not None else 0.0
+    if pixels > FOCUSED_BLUR_PX and share <= LONGEST_LINE:
+        yield (
+            f"the lenslets are astigmatic: a point of the pupil in focus in one section is {pixels:.3g} pixels long in "
+            "the other. Views, refocusing and depth are blurred as much"
         )

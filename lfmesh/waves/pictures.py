@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lens.main_order import phases_of
 from lfmesh.scene import Scene, first_order
+from lfmesh.scene.camera.lenslet_optics import sections
 from lfmesh.scene.camera.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.pose import Pose
 from lfmesh.waves.point_spread import TOLERANCE, Asked, followed
@@ -129,7 +130,7 @@ def _is_symmetric(scene: Scene, mla: MicrolensArray) -> bool:
     lens, sensor = scene.camera.lens, scene.camera.sensor
     centred = mla.pose == sensor.pose == Pose() and not lens.elements
     revolved = all(phase.of_revolution for phase in phases_of(scene).values())
-    square = len({*mla.count}) == 1 and len({*sensor.pixels}) == 1 and mla.cylinder_axis is None
+    square = len({*mla.count}) == 1 and len({*sensor.pixels}) == 1 and len(sections(mla)) == 1
     return centred and square and revolved and lens.number_off_revolution is None
 
 

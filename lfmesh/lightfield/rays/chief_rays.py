@@ -18,7 +18,9 @@ from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.lightfield.rays.lens_alone import lens_alone
 from lfmesh.optics.ray_aiming import aim_rays
-from lfmesh.scene import MicrolensArray, Scene
+from lfmesh.scene import Scene
+from lfmesh.scene.camera.lenslet_optics import lenslet_optics, sections
+from lfmesh.scene.first_order.lenslets import are_cylinders
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import interface_tables
@@ -147,19 +149,25 @@ class Plate(NamedTuple):
         return np.column_stack([across, np.copysign(along, direction[:, 2])])
 
 
-def refuse_undecodable(mla: MicrolensArray) -> None:
-    """Refuse arrays with cylindrical lenslets, with lenslets on both faces, or with a diffractive flat face.
+def refuse_undecodable(scene: Scene) -> None:
+    """Refuse arrays with lenslets that act as cylinders, with lenslets on both faces, or with a diffractive flat face.
+
+    Parameters
+    ----------
+    scene : Scene
+        With an array.
 
     Raises
     ------
     LfmeshError
         The message names the functions that accept such an array.
     """
-    if mla.cylinder_axis is not None:
-        raise LfmeshError(
-            f'camera.mla.cylinder_axis = "{mla.cylinder_axis}": cylindrical lenslets make lines, not micro-images, and '
-            "are not decoded or calibrated; render, check, draw, view and lf.white_image accept them"
-        )
+    mla = scene.camera.mla
+    assert mla is not None
+    lines = "make lines, not micro-images, and are not decoded or calibrated; render, check, draw, view and "
+    lines += "lf.white_image accept them"
+    if mla.cylinder_axis is not None and not mla.phases:
+        raise LfmeshError(f'camera.mla.cylinder_axis = "{mla.cylinder_axis}": cylindrical lenslets {lines}')
     if mla.has_back:
         raise LfmeshError(
             "camera.mla.back: arrays with lenslets on both faces are not decoded or calibrated, because chief rays are "
@@ -176,6 +184,18 @@ def refuse_undecodable(mla: MicrolensArray) -> None:
             "rays are known through a plain flat face only; render, check, draw, view and lf.white_image accept them, "
             "and curved_phase is decoded"
         )
+    solved = solved_camera(scene).scene.camera
+    if are_cylinders(solved, scene.primary_nm):
+        key = "curved_phase" if mla.curved_phase is not None else "cylinder_axis"
+        powers = " and ".join(
+            f"{lenslet_optics(solved, scene.primary_nm, section=each).power_per_mm:.4g} per mm in {each}"
+            for each in ("x", "y")
+        )
+        if len(sections(mla)) == 1:
+            powers = f"{powers}, and differ between them"
+        raise LfmeshError(
+            f"camera.mla.{key}: lenslets of different power in two sections ({powers}) act as cylinders. They {lines}"
+        )
 
 
 def plate_of(scene: Scene) -> Plate:
@@ -190,7 +210,7 @@ def plate_of(scene: Scene) -> Plate:
     mla = scene.camera.mla
     if mla is None:
         raise LfmeshError("camera.mla is missing: a conventional camera has no lenslets to calibrate or decode by")
-    refuse_undecodable(mla)
+    refuse_undecodable(scene)
     primary = scene.primary_nm
     _, tables = mla_tables(scene, (primary,), interface_tables(scene, (primary,)).mla, MediumList.of(scene))
     moves = frame_table(scene, np.zeros(3))

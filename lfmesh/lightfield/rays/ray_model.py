@@ -129,7 +129,7 @@ class RayModel:
         mla = camera.mla
         if mla is None:
             raise LfmeshError("camera.mla is missing: a conventional camera records no light field")
-        refuse_undecodable(mla)
+        refuse_undecodable(scene)
         if not math.isfinite(facts.efl_mm):
             raise LfmeshError("camera.lens is afocal: it has no focal length to determine distances")
         array_z = (facts.lenslets_z_mm or 0.0) + mla.pose.shift_mm[2]

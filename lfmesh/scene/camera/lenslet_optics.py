@@ -9,7 +9,7 @@ gap in place of t/n.
 """
 
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.mla import MicrolensArray
@@ -55,11 +55,11 @@ def lenslet_optics(camera: Camera, wavelength_nm: float, kind: int = 0, section:
     kind : int
         Lenslet type.
     section : str, optional
-        "x" or "y". Default: the one with the power of the curved face.
+        "x" or "y". Default: `main_section`.
     """
     mla = camera.mla
     assert mla is not None
-    section = section or mla.main_section
+    section = section or main_section(camera, wavelength_nm)
     if mla.gradient is not None:
         return _through_gradient(camera, wavelength_nm, kind, section)
     n = camera.relative_index(mla.medium, wavelength_nm)
@@ -112,7 +112,7 @@ def gradient_matrices(
     mla, outside = camera.mla, camera.image_index(wavelength_nm)
     assert mla is not None
     assert mla.gradient is not None
-    section = section or mla.main_section
+    section = section or main_section(camera, wavelength_nm)
     own, opposite = (0.0 if mla.cylinder_axis == section else 1.0 / mla.radii_mm[kind]), 0.0
     if mla.back is not None and mla.back.cylinder_axis != section:
         opposite = 1.0 / mla.back.radius_mm
@@ -122,6 +122,47 @@ def gradient_matrices(
     start = mla.gradient.index_at(wavelength_nm)
     front = Matrix(1.0, 0.0, -(start - outside) * first, 1.0)
     return front, within.matrix, Matrix(1.0, 0.0, -(within.end_index - outside) * second, 1.0)
+
+
+def main_section(camera: Camera, wavelength_nm: float) -> Literal["x", "y"]:
+    """Return the section with the power of the curved face, or with phases the larger power of the whole lenslet.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its array has radii.
+    wavelength_nm : float
+    """
+    mla = camera.mla
+    assert mla is not None
+    if not mla.phases:
+        return mla.main_section
+    in_x, in_y = (abs(lenslet_optics(camera, wavelength_nm, section=each).power_per_mm) for each in ("x", "y"))
+    return "y" if in_y > in_x else "x"
+
+
+def astigmatism_per_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the largest difference of a lenslet's power between two sections at right angles, over all types.
+
+    It is that of the principal sections, which a phase may turn from x and y: √((φx − φy)² + 4 φxy²).
+
+    Parameters
+    ----------
+    camera : Camera
+        Its array has radii.
+    wavelength_nm : float
+    """
+    mla = camera.mla
+    assert mla is not None
+    outside = camera.image_index(wavelength_nm)
+    mixed = sum(
+        phase.path_per_rad_mm(wavelength_nm) * phase.curvature_rad_mm2[1] / outside for phase in mla.phases.values()
+    )
+    differences = []
+    for kind in range(mla.types):
+        in_x, in_y = (lenslet_optics(camera, wavelength_nm, kind, each).power_per_mm for each in ("x", "y"))
+        differences.append(math.hypot(in_x - in_y, 2.0 * mixed))
+    return max(differences)
 
 
 def sections(mla: MicrolensArray) -> tuple[str, ...]:

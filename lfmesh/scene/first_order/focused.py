@@ -19,7 +19,7 @@ from typing import TypeVar
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.lenslet_optics import LensletOptics, lenslet_optics
 from lfmesh.scene.first_order.conjugates import along_depths
-from lfmesh.scene.first_order.lenslets import lenslet_to_sensor_mm
+from lfmesh.scene.first_order.lenslets import are_cylinders, lenslet_to_sensor_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.relay import FOCUSED_BLUR_PX
 from lfmesh.scene.first_order.solve import front_principal_mm
@@ -87,7 +87,7 @@ def focused_lenslets(
         1 over this distance; 0 for a telecentric lens.
     """
     mla = camera.mla
-    if mla is None or mla.cylinder_axis is not None:
+    if mla is None or are_cylinders(camera, wavelength_nm):
         return ()
     types = [lenslet_optics(camera, wavelength_nm, kind) for kind in range(mla.types)]
     middle = middle_of(types)
@@ -109,7 +109,7 @@ def sensor_over_focal_length(camera: Camera, wavelength_nm: float) -> float | No
     wavelength_nm : float
     """
     mla = camera.mla
-    if mla is None or mla.cylinder_axis is not None:
+    if mla is None or are_cylinders(camera, wavelength_nm):
         return None
     middle = middle_of([lenslet_optics(camera, wavelength_nm, kind) for kind in range(mla.types)])
     return 1.0 + _per_depth(camera, wavelength_nm, middle)

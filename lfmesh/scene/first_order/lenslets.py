@@ -5,10 +5,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lfmesh.scene.camera.camera import Camera
-from lfmesh.scene.camera.lenslet_optics import LensletOptics, lenslet_optics, sections
+from lfmesh.scene.camera.lenslet_optics import LensletOptics, astigmatism_per_mm, lenslet_optics, sections
 from lfmesh.scene.first_order.cover import cover_shift_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.solve import rear_principal_mm
+
+LONGEST_LINE = 0.25
+"""Line over the pitch of the lenslets up to which it counts as a point with some astigmatism."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,36 @@ def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float, at: LensletOptics
         return math.nan
     inside = rear_principal_mm(camera, wavelength_nm) if at is None else at.rear_principal_mm
     return camera.sensor.distance_mm - cover_shift_mm(camera, wavelength_nm) + inside
+
+
+def line_share(camera: Camera, wavelength_nm: float) -> float:
+    """Return the length of the line that a point of the pupil becomes by astigmatic lenslets, over their pitch.
+
+    In focus in one section, the point is as long in the other as the pitch times the difference of the powers times the
+    distance from the sensor. Glass cylinders, phases and gradients count alike.
+
+    Parameters
+    ----------
+    camera : Camera
+        Solved; 0 without an array.
+    wavelength_nm : float
+    """
+    if camera.mla is None:
+        return 0.0
+    difference = astigmatism_per_mm(camera, wavelength_nm)
+    return difference * abs(lenslet_to_sensor_mm(camera, wavelength_nm)) if difference else 0.0
+
+
+def are_cylinders(camera: Camera, wavelength_nm: float) -> bool:
+    """Return whether the lenslets act as cylinders, which make lines longer than `LONGEST_LINE` of their pitch.
+
+    Parameters
+    ----------
+    camera : Camera
+        Solved; False without an array.
+    wavelength_nm : float
+    """
+    return not line_share(camera, wavelength_nm) <= LONGEST_LINE
 
 
 def micro_image(

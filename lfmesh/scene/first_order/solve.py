@@ -8,7 +8,7 @@ from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.gaps import room_mm
 from lfmesh.scene.camera.lens import Lens
-from lfmesh.scene.camera.lenslet_optics import lenslet_optics
+from lfmesh.scene.camera.lenslet_optics import lenslet_optics, main_section
 from lfmesh.scene.camera.mla import MicrolensArray
 from lfmesh.scene.camera.phase_grids import refuse_small_grids, with_phase_grids
 from lfmesh.scene.files import with_lens_file
@@ -94,7 +94,8 @@ def apparent_thickness_mm(camera: Camera, wavelength_nm: float) -> float:
     """
     mla = _array_of(camera)
     if mla.gradient is not None:
-        reduced = gradient_gap(mla.gradient, wavelength_nm, mla.thickness_mm, mla.main_section == "x").matrix.b
+        in_x = main_section(camera, wavelength_nm) == "x"
+        reduced = gradient_gap(mla.gradient, wavelength_nm, mla.thickness_mm, in_x).matrix.b
         return reduced * camera.image_index(wavelength_nm)
     return mla.thickness_mm / camera.relative_index(mla.medium, wavelength_nm)
 

@@ -181,7 +181,7 @@ class Dataset:
                 if key not in cameras:
                     solved_camera(scene)
                     if self.file.parts and scene.camera.mla is not None:
-                        refuse_undecodable(scene.camera.mla)
+                        refuse_undecodable(scene)
                 if key not in cameras or not names <= files:
                     build(scene)
                 cameras.add(key)

@@ -245,3 +245,20 @@ def in_air(model: Any, air: Air | None, part: str | None = None) -> Any:
         return model
     glass = OwnGlass(name=model.glass) if isinstance(model.glass, str) else model.glass
     return model if glass.air is not None else model.model_copy(update={"glass": glass.model_copy(update={"air": air})})
+
+
+def out_of_air(model: Any, air: Air | None, part: str | None = None) -> Any:
+    """Return a model as it was before `in_air`: with a glass in the given air that names no air itself.
+
+    Parameters
+    ----------
+    model, air, part
+        As for `in_air`.
+    """
+    if part is not None:
+        return model.model_copy(update={part: out_of_air(getattr(model, part), air)})
+    glass = None if model is None or air is None else model.glass
+    if not isinstance(glass, OwnGlass) or glass.air != air:
+        return model
+    plain = glass.model_copy(update={"air": None})
+    return model.model_copy(update={"glass": plain if glass.name is None else glass.name})

@@ -16,11 +16,11 @@ import numpy as np
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene, load, solved
-from lfmesh.scene.changes import steps_of
 from lfmesh.scene.literals import literal
 from lfmesh.study.metrics.metrics import METRICS
 from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera, in_a_line
 from lfmesh.study.sweeps.axes import Axis, is_number, name_and_unit
+from lfmesh.study.sweeps.named_fields import with_named
 from lfmesh.study.sweeps.paths import number_path, value_at
 from lfmesh.study.sweeps.study_file import StudyFile, refused, unknown_metrics
 from lfmesh.study.tolerances.compensators import Compensator
@@ -38,15 +38,6 @@ LEAST_REPLICATES = 3
 
 FOCUS = "camera.focus_mm"
 DISTANCES = ("camera.mla.distance_mm", "camera.sensor.distance_mm")
-
-USED_UP = {
-    "camera.mla.focal_length_mm": "camera.mla.radius_mm",
-    "camera.lens.f_number": None,
-    "camera.lens.epd_mm": None,
-    "camera.lens.stop_semi_diameter_mm": None,
-}
-"""Fields that solving a scene replaces by others, and the optional field that then has the same meaning."""
-
 
 CAMERAS_SEARCHED, CAMERAS_ADJUSTED = 10, 12
 """Cameras traced by a search of the largest change, and by an adjustment for each compensator."""
@@ -243,7 +234,7 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
         omitted = [path for path in DISTANCES if _is_omitted(first, path)]
         ready_scene = ready_scene.changed(dict.fromkeys(omitted, None))
     paths = [*(axis.path for axis in axes), *(each.path for each in study.compensators)]
-    ready_scene = _with_named(ready_scene, first, paths)
+    ready_scene = with_named(ready_scene, first, paths)
     axes = tuple(_renamed(axis, number_path(axis.path, axis.values or (), ready_scene)) for axis in axes)
     adjusted = tuple(_renamed(each, number_path(each.path, (), ready_scene)) for each in study.compensators)
     study = study.model_copy(update={"compensators": adjusted})
@@ -301,17 +292,6 @@ def _focus_of(scene: Scene) -> tuple[Any, ...]:
     """Return the distances of array and sensor of a solved scene."""
     camera = scene.camera
     return camera.mla and camera.mla.distance_mm, camera.sensor.distance_mm
-
-
-def _with_named(ready: Scene, given: Scene, paths: Iterable[str]) -> Scene:
-    """Restore in a solved scene the given fields that a study varies: focal lengths of lenslets, the stop."""
-    changes: dict[str, Any] = {}
-    for field, other in USED_UP.items():
-        if any(steps_of(path)[: len(steps_of(field))] == steps_of(field) for path in paths):
-            with suppress(KeyError):
-                if (value := value_at(given, field)) is not None:
-                    changes |= {field: value} | ({} if other is None else {other: None})
-    return ready.changed(changes) if changes else ready
 
 
 def _renamed(each: Varied, path: str) -> Varied:

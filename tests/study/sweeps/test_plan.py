@@ -3,6 +3,7 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -273,6 +274,47 @@ def test_what_solving_replaces_is_varied_as_the_scene_says_it(path: str) -> None
     distances = {path: value_at(reference, path) for path in DISTANCES}
     wanted = {FOCAL: 2.6 - 0.05} if field == FOCAL else {field: 2.45}
     assert moved == searched == lf.solved(scene.changed(wanted | distances))
+
+
+MEDIA = {
+    "camera.object_medium": {"index": 1.1},
+    "camera.image_medium": {"index": 1.05},
+    "camera.air": {"temperature_c": 30.0, "pressure_kpa": 95.0},
+    "camera.lens.surfaces[0].glass": "SCHOTT/N-BK7",
+    "camera.lens.surfaces[0].index": None,
+}
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("camera.object_medium.index", 1.2),
+        ("camera.image_medium.index", 1.1),
+        ("camera.image_medium", {"index": 1.1}),
+        ("camera.air.pressure_kpa", 20.0),
+    ],
+)
+def test_media_and_air_are_varied_as_the_scene_says_them(path: str, value: Any) -> None:
+    scene = small_scene().changed(MEDIA)
+    plan = lf.Study(scene, axes=[{"path": path, "values": [value]}], metrics=["chief_rays"]).plan
+    reference, moved = (lf.solved(plan.scene_of(point)) for point in plan.points)
+    assert reference == lf.solved(scene)
+    assert lf.first_order(moved).efl_mm == pytest.approx(lf.first_order(scene.changed({path: value})).efl_mm, rel=1e-12)
+    assert abs(lf.first_order(moved).efl_mm - lf.first_order(reference).efl_mm) > 1e-4
+
+
+def test_the_liquid_of_a_tank_is_varied_as_the_scene_says_it() -> None:
+    """A solved scene has windows and liquid as bodies; the reference has one liquid, the other point another."""
+    tank = {
+        "size_mm": [100.0, 100.0, 60.0], "wall_mm": 5.0, "wall": {"index": 1.5}, "liquid": {"index": 1.33},
+        "position_mm": [0.0, 0.0, -500.0],
+    }  # fmt: skip
+    scene = small_scene().changed({"tanks": [tank]})
+    axes = [{"path": "tanks[0].liquid.index", "values": [1.4]}]
+    plan = lf.Study(scene, axes=axes, metrics=["chief_rays"]).plan
+    reference, moved = (plan.scene_of(point) for point in plan.points)
+    assert [each.tanks[0].liquid.index for each in (reference, moved)] == [1.33, 1.4]
+    assert reference.targets == moved.targets == scene.targets
 
 
 def test_points_are_told_with_the_names_and_units_of_reports() -> None:

@@ -8,6 +8,7 @@ from lfmesh.optics.glass import AIR, absorption_per_mm, catalogue_name, refracti
 from lfmesh.optics.glass import Medium as GlassOrAir
 from lfmesh.optics.metals import metal_index
 from lfmesh.scene.camera.gradient import Gradient
+from lfmesh.scene.camera.lenslet_depth import cell_corner_mm
 from lfmesh.scene.camera.mla import MicrolensArray
 from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.gradient_faults import gradient_faults, index_faults
@@ -18,6 +19,7 @@ from lfmesh.scene.materials.own_glass import in_air
 from lfmesh.scene.memory import physical_memory_bytes
 from lfmesh.scene.model import Fault, Location
 from lfmesh.scene.motion_faults import motion_faults
+from lfmesh.scene.quantities import LARGEST
 from lfmesh.scene.scene_parts import SceneParts
 from lfmesh.scene.settings.transport import PRIMARY_NM
 
@@ -204,6 +206,10 @@ def _phase_faults(scene: SceneParts) -> Iterator[Fault]:
         if why:
             yield Fault(where, None, why)
             continue
+        for key, coefficient, largest in phase.terms_rad(_radius_mm(scene, where)):
+            if not largest <= LARGEST:
+                why_large = f"makes a phase of more than {LARGEST:g} rad inside the clear aperture"
+                yield Fault((*where, *key), coefficient, why_large)
         for wavelength in _checked_nm(scene):
             try:
                 shares = phase.orders_of(wavelength, before, behind)
@@ -216,6 +222,14 @@ def _phase_faults(scene: SceneParts) -> Iterator[Fault]:
                     "needs different media on both sides, as a profile in one medium shifts no phase",
                 )  # fmt: skip
                 break
+
+
+def _radius_mm(scene: SceneParts, where: Location) -> float:
+    """Return the clear radius of the face of a phase; 0 if it is solved later."""
+    number, mla = where[-2], scene.camera.mla
+    if isinstance(number, int):
+        return scene.camera.lens.aperture_mm(number) or 0.0
+    return cell_corner_mm(mla.pitch_mm, mla.layout, None) if mla is not None else 0.0
 
 
 def _diffraction_faults(scene: SceneParts) -> Iterator[Fault]:

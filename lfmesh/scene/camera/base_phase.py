@@ -14,7 +14,7 @@ from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.optics.phase_shapes import PhaseProfile, vertex_derivatives
 from lfmesh.scene.camera.orders import Efficiency, Order, OrderNumber, Shares, efficiency_faults, order_faults
 from lfmesh.scene.light.spectra import Resolves, Spectrum
-from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.model import Fault, Location, Model
 from lfmesh.scene.quantities import Positive
 
 MM_PER_NM = 1e-6
@@ -146,6 +146,24 @@ class Phase(Model):
     def _shape(self) -> PhaseProfile:
         raise NotImplementedError
 
+    def terms_rad(self, radius_mm: float) -> Iterator[tuple[Location, float, float]]:
+        """Yield the terms of a polynomial phase with any coefficients.
+
+        Parameters
+        ----------
+        radius_mm : float
+            Largest distance from the vertex.
+
+        Yields
+        ------
+        location : tuple of str and int
+            Keys of the coefficient from the phase.
+        coefficient : float
+        largest : float
+            Largest magnitude of the term up to this distance, in rad; inf beyond float64.
+        """
+        yield from ()
+
     def read_in(self, scene: Resolves) -> "Phase":
         """Return the phase with the contents of its file, if it has one.
 
@@ -255,6 +273,20 @@ class Phase(Model):
             yield Fault(("blaze_order",), self.blaze_order, 'omit it: it belongs to efficiency = "blaze"')
         elif self.blaze_order == 0:
             yield Fault(("blaze_order",), 0, "must not be 0: that profile would be flat")
+
+
+def term_rad(coefficient: float, ratio: float, power: int) -> float:
+    """Return the magnitude of a term of a polynomial phase, inf on overflow.
+
+    Parameters
+    ----------
+    coefficient : float, rad
+    ratio : float
+        Distance over the length that it is divided by.
+    power : int
+    """
+    with np.errstate(over="ignore"):
+        return float(abs(coefficient) * np.float64(ratio) ** power) if coefficient else 0.0
 
 
 @lru_cache(maxsize=64)

@@ -21,11 +21,11 @@ from lfmesh.optics.phase_shapes import (
     zones_profile,
 )
 from lfmesh.optics.zones import Zone
-from lfmesh.scene.camera.base_phase import MM_PER_NM, Phase
+from lfmesh.scene.camera.base_phase import MM_PER_NM, Phase, term_rad
 from lfmesh.scene.camera.orders import Order
 from lfmesh.scene.inputs import file_stamp
 from lfmesh.scene.light.spectra import Resolves
-from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.model import Fault, Location, Model
 from lfmesh.scene.quantities import Coefficient, FilePath, Number, Positive, SignedLength, Vector
 
 __all__ = [
@@ -68,6 +68,20 @@ class RadialPhase(Phase):
     def _shape(self) -> PhaseProfile:
         return radial_profile(self.coefficients_rad, self.radius_mm)
 
+    def terms_rad(self, radius_mm: float) -> Iterator[tuple[Location, float, float]]:
+        """Yield the terms.
+
+        Parameters
+        ----------
+        radius_mm : float
+
+        Yields
+        ------
+        As in `Phase`.
+        """
+        for i, a in enumerate(self.coefficients_rad):
+            yield ("coefficients_rad", i), a, term_rad(a, radius_mm / self.radius_mm, 2 * i + 2)
+
 
 class XyPhase(Phase):
     """Powers of x and y: Σ A (x / radius)^i (y / radius)^j."""
@@ -86,6 +100,20 @@ class XyPhase(Phase):
 
     def _shape(self) -> PhaseProfile:
         return xy_profile(self.coefficients_rad, self.radius_mm)
+
+    def terms_rad(self, radius_mm: float) -> Iterator[tuple[Location, float, float]]:
+        """Yield the terms.
+
+        Parameters
+        ----------
+        radius_mm : float
+
+        Yields
+        ------
+        As in `Phase`.
+        """
+        for k, (i, j, a) in enumerate(self.coefficients_rad):
+            yield ("coefficients_rad", k, 2), a, term_rad(a, radius_mm / self.radius_mm, i + j)
 
     @property
     def symmetric(self) -> bool:
@@ -275,6 +303,22 @@ class ZonedPhase(Phase):
                  tuple((2 * i, a) for i, a in enumerate(zone.coefficients_rad, start=1)), 1.0 / zone.radius_mm)
             for zone, inner, outer in zip(self.zones, [0.0, *borders[:-1]], borders, strict=True)
         ])  # fmt: skip
+
+    def terms_rad(self, radius_mm: float) -> Iterator[tuple[Location, float, float]]:
+        """Yield the terms.
+
+        Parameters
+        ----------
+        radius_mm : float
+
+        Yields
+        ------
+        As in `Phase`.
+        """
+        for k, zone in enumerate(self.zones):
+            end = radius_mm if zone.border_mm is None else min(radius_mm, zone.border_mm)
+            for i, a in enumerate(zone.coefficients_rad):
+                yield ("zones", k, "coefficients_rad", i), a, term_rad(a, end / zone.radius_mm, 2 * i + 2)
 
     def faults(self) -> Iterator[Fault]:
         """Yield faults between fields, and borders that are missing or do not grow."""

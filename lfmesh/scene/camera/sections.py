@@ -339,7 +339,9 @@ def toroid_reach_mm(
         return square, plus(scaled(c_x * c_x, _ones(f)), scaled(-c_x, times(u, across)))
 
     enough = (c_x * end) ** 2
-    found, _ = least(ranges_of, [0.0], [end * end], enough, 0.25 * END_WITHIN * enough)
+    # Sags beyond float64 end the surface at 0.
+    with np.errstate(over="ignore", invalid="ignore"):
+        found, _ = least(ranges_of, [0.0], [end * end], enough, 0.25 * END_WITHIN * enough)
     if found >= enough:
         return end
     reach = end * math.sqrt(found / enough) * (1.0 - END_WITHIN)

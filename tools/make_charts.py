@@ -192,12 +192,12 @@ def siemens() -> Sheet:
 
 
 def dots() -> Sheet:
-    """Return dots on a lattice of 32 × 32 cells, each at a random place in its cell."""
-    sheet, cells, draw = Sheet(DOTS_PX), 32, random.Random(0)
+    """Return dots on a lattice of 26 × 26 cells, each at a random place in its cell."""
+    sheet, cells, draw = Sheet(DOTS_PX), 26, random.Random(0)
     for row in range(cells):
         for column in range(cells):
-            x, y = ((k + 0.5 + 0.5 * (draw.random() - 0.5)) / cells for k in (column, row))
-            sheet.disk(x, y, 0.24 / cells, INK)
+            x, y = ((k + 0.5 + 0.8 * (draw.random() - 0.5)) / cells for k in (column, row))
+            sheet.disk(x, y, 0.27 / cells, INK)
     return sheet
 
 

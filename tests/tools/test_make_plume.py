@@ -15,9 +15,7 @@ def test_the_grid_in_assets_follows_the_formula() -> None:
     grid = read_voxels(PLACE)
     assert (grid.spacing_mm == SPACING_MM).all()
     x, y, z = np.moveaxis(grid.centres_mm(), -1, 0)
-    np.testing.assert_allclose(
-        grid.values["temperature_k"], temperature_k(x, y, z), rtol=1.0 / MANTISSA, atol=0.0
-    )
+    np.testing.assert_allclose(grid.values["temperature_k"], temperature_k(x, y, z), rtol=1.0 / MANTISSA, atol=0.0)
 
 
 def test_the_plume_of_the_scene_needs_no_finer_voxels() -> None:

@@ -49,6 +49,10 @@ WIDTHS = 4.0
 FILLED = 0.5
 """Smallest fraction of a window's weight on known samples."""
 
+SIGNIFICANT = 8.0
+"""Gain over its standard error from which on a window shows a common pattern: the best of many shifts of mere noise
+reaches 4, and a few more for the deformation."""
+
 MOST_STEPS = 40
 SETTLED = 1e-6
 """Steps of Gauss and Newton's method, and the last one, in samples, at which it ends."""
@@ -207,7 +211,10 @@ def _measure(
             parameters[0], parameters[TERMS], parameters[GAIN] = start_x, start_y, 1.0
             if not _converged(pictures, window, columns[n], rows[m]):
                 continue
-            squares, expected = _errors(pictures, window, columns[n], rows[m], error[m, n])
+            squares, expected, of_gain = _errors(pictures, window, columns[n], rows[m], error[m, n])
+            if parameters[GAIN] <= SIGNIFICANT * of_gain:
+                error[m, n] = np.nan
+                continue
             shift[m, n, 0], shift[m, n, 1] = parameters[0], parameters[TERMS]
             if expected > 0.0:
                 misfit[m, n] = np.sqrt(squares / expected)
@@ -387,8 +394,8 @@ def _solve(factor: Array, b: Array) -> None:
 
 
 @kernel
-def _errors(pictures: _Pictures, window: _Window, column: int, row: int, error: Array) -> tuple[float, float]:
-    """Fill in the standard errors of a window's shift; return its squared residual and the expectation of that.
+def _errors(pictures: _Pictures, window: _Window, column: int, row: int, error: Array) -> tuple[float, float, float]:
+    """Fill in the errors of a window's shift; return its squared residual, that one's expectation, the gain's error.
 
     The Cholesky factor is that of the last step.
     """
@@ -397,7 +404,7 @@ def _errors(pictures: _Pictures, window: _Window, column: int, row: int, error: 
     gain2 = p[GAIN] * p[GAIN]
     spread = window.spread
     spread[0] = 0.0
-    squares, expected = 0.0, 0.0
+    squares, expected, of_gain = 0.0, 0.0, 0.0
     for j in range(-half, half + 1):
         for i in range(-half, half + 1):
             residual, x, y, known = _sample(pictures, window, column, row, i, j, jacobian)
@@ -419,12 +426,15 @@ def _errors(pictures: _Pictures, window: _Window, column: int, row: int, error: 
             for n in range(PARAMETERS):
                 product[m] += window.noise[m, n] * solution[n]
         expected -= product[k]
-        if k % TERMS == 0 and k < GAIN:
+        if k % TERMS == 0:
             variance = 0.0
             for m in range(PARAMETERS):
                 variance += solution[m] * product[m]
-            error[k // TERMS] = np.sqrt(variance)
-    return squares, expected
+            if k < GAIN:
+                error[k // TERMS] = np.sqrt(variance)
+            else:
+                of_gain = np.sqrt(variance)
+    return squares, expected, of_gain
 
 
 @kernel

@@ -91,20 +91,22 @@ class Schlieren(Pictured):
         return tuple(count // 2 for count in self.misfit.shape[:-2])
 
     def in_words(self) -> str:
-        """Return the largest deflection, the errors and the distances in words.
+        """Return the largest deflection, in the middle view of a light field, the errors and the distances in words.
 
         Returns
         -------
         str
         """
         known = np.isfinite(self.deflection_rad)
-        if not known.any():
+        if not known[self.middle].any():
             return "No window shows the same pattern in both pictures; give larger windows or a larger reach."
-        largest = float(np.abs(self.deflection_rad[known]).max())
+        # Views at the rim of the pupil have little light, and outliers.
+        largest = float(np.nanmax(np.abs(self.deflection_rad[self.middle])))
+        farthest = float(np.nanmax(np.abs(self.displacement_px[self.middle])))
         return (
             f"Light is deflected by up to {1e3 * largest:.4g} mrad, with a median standard error of "
             f"{1e3 * float(np.median(self.deflection_error_rad[known])):.2g} mrad, and dots are displaced by up to "
-            f"{float(np.abs(self.displacement_px[known]).max()):.3g} samples. The background lies at "
+            f"{farthest:.3g} samples. The background lies at "
             f"{self.background_mm:.6g} mm, the flow at {self.field_mm:.6g} mm. {known[..., 0].mean():.1%} of the "
             f"windows are known; their median misfit is {float(np.nanmedian(self.misfit)):.3g}."
         )

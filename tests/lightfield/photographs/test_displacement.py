@@ -95,6 +95,18 @@ def test_pictures_without_texture_are_unknown() -> None:
     assert np.isnan(measured(flat, 0.0, reference=flat).shift).all()
 
 
+@pytest.mark.parametrize("window", [9, WINDOW])
+def test_pictures_of_noise_alone_are_unknown(window: int) -> None:
+    """Of many shifts one makes even noise look alike."""
+    known = np.ones((SIZE, SIZE))
+    pair = np.random.default_rng(4).standard_normal((2, SIZE, SIZE))
+    centres = (window_centres(SIZE, window, window),) * 2
+    found = displacements((pair[0], pair[1]), (known, known), centres, window=window, reach=REACH)
+    assert found.shift.size > 20
+    assert np.isnan(found.shift).all()
+    assert np.isnan(found.error).all()
+
+
 def test_unknown_samples_spoil_no_others() -> None:
     """Windows that hold many of them are unknown; others differ by less than their errors."""
     run = dots(linear)

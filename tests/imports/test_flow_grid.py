@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 import pyvista as pv
@@ -181,6 +182,44 @@ def test_the_last_time_of_an_openfoam_case_is_read_in_metres(tmp_path: Path) -> 
     np.testing.assert_allclose(last.grid.origin_mm, 0.0, atol=1e-6)
     with pytest.raises(FileError, match=r"has no time 2 s; it has times from 1 to 2\.5 s"):
         resampled(case, (T,), Resampling((500.0,) * 3, time_s=2.0))
+
+
+def cgns(path: Path, field: Field, nodes: int = 5) -> Path:
+    """Write a field T at the vertices of a structured zone of CGNS, a cube from -4 to 4 m, as HDF5."""
+
+    def put(parent: h5py.Group, name: str, label: str, kind: str = "MT", data: Any = None) -> h5py.Group:
+        made = parent.create_group(name) if name else parent
+        for key, text, length in (("name", name or "HDF5 MotherNode", 33), ("label", label, 33), ("type", kind, 3)):
+            made.attrs.create(key, np.bytes_(text), dtype=f"S{length}")
+        made.attrs["flags"] = np.array([1], np.int32)
+        if data is not None:
+            made.create_dataset(" data", data=np.frombuffer(data.encode(), np.int8) if kind == "C1" else data)
+        return made
+
+    along = np.linspace(-4.0, 4.0, nodes)
+    # Indices run along x first, and HDF5 holds the last one first.
+    z, y, x = np.meshgrid(along, along, along, indexing="ij")
+    with h5py.File(path, "w") as root:
+        put(root, "", "Root Node of HDF5 File")
+        put(root, "CGNSLibraryVersion", "CGNSLibraryVersion_t", "R4", np.array([3.1], np.float32))
+        base = put(root, "Base", "CGNSBase_t", "I4", np.array([3, 3], np.int32))
+        sizes = np.array([[nodes] * 3, [nodes - 1] * 3, [0] * 3], np.int32)
+        zone = put(base, "Zone", "Zone_t", "I4", sizes)
+        put(zone, "ZoneType", "ZoneType_t", "C1", "Structured")
+        places = put(zone, "GridCoordinates", "GridCoordinates_t")
+        for name, values in (("CoordinateX", x), ("CoordinateY", y), ("CoordinateZ", z)):
+            put(places, name, "DataArray_t", "R8", values)
+        solution = put(zone, "Solution", "FlowSolution_t")
+        put(solution, "GridLocation", "GridLocation_t", "C1", "Vertex")
+        put(solution, "T", "DataArray_t", "R8", field(x, y, z))
+    return path
+
+
+def test_a_linear_field_of_a_cgns_file_is_exact(tmp_path: Path) -> None:
+    found = resampled(cgns(tmp_path / "f.cgns", linear), (T,), Resampling((1000.0, 500.0, 800.0), "m"))
+    x, y, z = np.moveaxis(1e-3 * found.grid.centres_mm(), -1, 0)
+    assert found.grid.shape == (9, 17, 11)
+    np.testing.assert_allclose(found.grid.values["temperature_k"], linear(x, y, z), rtol=1e-5)
 
 
 def test_a_file_that_crashes_the_reader_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

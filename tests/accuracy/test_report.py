@@ -58,9 +58,18 @@ EXACT_MM = 1e-9
 ORDERS = {"flat": 0.9, "smooth": 1.9, "patch": 2.7}
 
 
+@pytest.fixture
+def untimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Studies trace the rays of each row once: nobody asks for their speed."""
+    monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.TIMED_RUNS", 1)
+    monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.TIMED_SECONDS", 0.0)
+
+
 @pytest.mark.parametrize("file", lens_files(), ids=lambda file: file.stem)
-def test_exact_lands_on_the_truth_whatever_the_mesh(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exact_lands_on_the_truth_whatever_the_mesh(file: Path, monkeypatch: pytest.MonkeyPatch, untimed: None) -> None:
     monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.LEVELS", ("exact",))
+    # The error of the truth itself has tests of its own, and takes half a minute through gradients.
+    monkeypatch.setattr("lfmesh.accuracy.analytic.own_error", lambda *_: None)
     study = study_lens(lens_scene(file), rays=1 << 13)
     exact = study.of(LENS_ALONE, "exact")
     assert len(exact) == len(EXACT_MULTIPLES)
@@ -86,12 +95,9 @@ def test_a_million_rays_land_on_the_truth(file: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("lens", instances(["cooke_triplet_50mm", "achromat_100mm"], long=["achromat_100mm"]))
-def test_every_level_converges_with_its_order(lens: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_level_converges_with_its_order(lens: str, monkeypatch: pytest.MonkeyPatch, untimed: None) -> None:
     """Flat facets with order one, interpolated normals two, quadratic patches three, over three refinements."""
     monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.LEVELS", tuple(ORDERS))
-    # Its speed is not asked for.
-    monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.TIMED_RUNS", 1)
-    monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.TIMED_SECONDS", 0.0)
     study = study_lens(lens_scene(asset_path(f"lenses/{lens}.toml")), rings=(6, 12, 24, 48), rays=1 << 11)
     for level, order in ORDERS.items():
         rows = study.of(LENS_ALONE, level)

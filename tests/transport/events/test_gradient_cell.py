@@ -300,11 +300,15 @@ def test_rods_form_one_upright_image_of_the_same_size() -> None:
 
 
 def glowing(method: str, split: str, **mla: Any) -> lf.Scene:
+    """Return short rods, which pass enough light for a quick proof of the aim, behind a window no larger than it."""
     plane = {"shape": {"kind": "plane", "width_mm": 6.0, "height_mm": 6.0}, "position_mm": [0.4, 0.2, -1.0],
              "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}  # fmt: skip
     transport = {"method": method, "split": split, "samples": 64, "replicates": 16, "weight_cutoff": 0.5}
-    made = lf.Scene(camera=camera(**mla).camera.model_dump(), targets=[plane], transport=transport)
-    return made.changed({"camera.sensor.pixels": [16, 16], "camera.sensor.pixel_mm": 0.4})
+    made = camera(thickness_mm=3.0, **mla).camera.model_dump()
+    for surface in made["lens"]["surfaces"]:
+        surface["semi_diameter_mm"] = 7.0
+    made["sensor"] |= {"pixels": [16, 16], "pixel_mm": 0.4}
+    return lf.Scene(camera=made, targets=[plane], transport=transport)
 
 
 @pytest.mark.parametrize("method", ["adjoint", "forward"])

@@ -47,11 +47,11 @@ def grating(change: float, **keys: Any) -> dict[str, Any]:
     return {"kind": "grating", "lines_per_mm": change / MM} | keys
 
 
-def window(front: dict[str, Any], rear: dict[str, Any] | None = None, index: float = 1.5) -> list[dict[str, Any]]:
+def window(front: dict[str, Any], index: float = 1.5, semi_diameter_mm: float = 30.0) -> list[dict[str, Any]]:
     """Return a plane plate of 2 mm, with a stop of 2 mm in diameter 1 mm behind it."""
     return [
-        {"thickness_mm": 2.0, "index": index, "semi_diameter_mm": 30.0} | front,
-        {"thickness_mm": 1.0, "semi_diameter_mm": 30.0} | (rear or {}),
+        {"thickness_mm": 2.0, "index": index, "semi_diameter_mm": semi_diameter_mm} | front,
+        {"thickness_mm": 1.0, "semi_diameter_mm": semi_diameter_mm},
         {"stop": True, "semi_diameter_mm": 1.0},
     ]
 
@@ -402,11 +402,12 @@ def steep(name: str, method: str) -> lf.Scene:
     """A glowing plane whose light comes from the side, on a grating that turns it towards a sensor aside."""
     front, array, _ = CASES[name]
     middle, (x, width, height) = places(name)
-    lens = window(front) if array is None else [
+    # No larger than the light, or most rays would miss it.
+    lens = window(front, semi_diameter_mm=7.0) if array is None else [
         {"stop": True, "thickness_mm": 1.0, "semi_diameter_mm": 1.0},
-        {"thickness_mm": 0.5, "index": 1.0001, "semi_diameter_mm": 30.0}, {"semi_diameter_mm": 30.0},
+        {"thickness_mm": 0.5, "index": 1.0001, "semi_diameter_mm": 7.0}, {"semi_diameter_mm": 7.0},
     ]  # fmt: skip
-    plate = {"count": [60, 60], "pitch_mm": 0.5, "index": 1.5, "thickness_mm": 2.0, "distance_mm": 4.0}
+    plate = {"count": [60, 6], "pitch_mm": 0.5, "index": 1.5, "thickness_mm": 2.0, "distance_mm": 4.0}
     camera: dict[str, Any] = {
         "lens": {"surfaces": lens},
         "sensor": {"pixels": [4, 4], "pixel_mm": 0.5, "distance_mm": 8.0 if array is None else 2.0,
@@ -421,16 +422,14 @@ def steep(name: str, method: str) -> lf.Scene:
     return lf.Scene(camera=camera, coatings=coatings, transport=transport, targets=[target])
 
 
-def irradiance(name: str, at: Array) -> float:
-    """Irradiance over the radiance at a point of the sensor: the integral of the transmittance over p_x p_y.
+def reaching(name: str, at: Array, p: Array) -> Array:
+    """Radiance at a point of the sensor by the optical momentum (n, 2) of light there, over the target's.
 
     Rays are traced back through plane faces, with the momentum that the grating takes away, to the target.
     """
     _, array, orders = CASES[name]
     _, (target_x, width, height) = places(name)
-    step = 0.0008
-    p = np.stack(np.meshgrid(np.arange(-0.6, 0.1, step), np.arange(-0.35, 0.35, step)), axis=-1).reshape(-1, 2)
-    found = 0.0
+    found = np.zeros(len(p))
     for change, share in orders:
         if array is None:
             # Sensor, stop, air of 1 mm, plate of 2 mm with the grating in front.
@@ -464,8 +463,22 @@ def irradiance(name: str, at: Array) -> float:
         slope = q[on] / np.sqrt(1.0 - (q[on] ** 2).sum(axis=1))[:, None]
         off = np.abs(x[on] + TARGET_MM * slope - [target_x, 0.0])
         passed[on] *= (off <= [0.5 * width, 0.5 * height]).all(axis=1)
-        found += share * float(passed.sum()) * step**2
+        found += share * passed
     return found
+
+
+def irradiance(name: str, at: Array) -> float:
+    """Irradiance over the radiance at a point of the sensor: the integral of the transmittance over p_x p_y."""
+    step, coarse = 0.0008, 10
+
+    def momenta(spans: Array, step: float) -> Array:
+        return np.stack(np.meshgrid(*(np.arange(*span, step) for span in spans)), axis=-1).reshape(-1, 2)
+
+    # A coarse grid finds the few momenta with light: the stop is small.
+    p = momenta(np.array([[-0.6, 0.1], [-0.35, 0.35]]), coarse * step)
+    lit = p[reaching(name, at, p) > 0.0]
+    spans = np.column_stack([lit.min(axis=0) - coarse * step, lit.max(axis=0) + coarse * step])
+    return float(reaching(name, at, momenta(spans, step)).sum()) * step**2
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -476,15 +489,15 @@ def test_forward_equals_adjoint_and_the_integral_at_steep_angles(name: str) -> N
     cent brighter.
     """
     # Rays are not aimed through several orders, and few of them through steep ones of lenslets.
-    aimed = name.startswith("on the lens")
+    aimed, several = name.startswith("on the lens"), name.startswith("several")
     total, error = [], []
-    for method, samples in (("adjoint", 2048 if aimed else 16384), ("forward", 32768 if aimed else 262144)):
+    for method, samples in (("adjoint", 2048 if aimed else 16384), ("forward", 262144 if several else 65536)):
         image = unchecked(steep(name, method).changed({"transport.samples": samples}))
         assert abs(image.ledger.imbalance) < 1e-9
         total.append(float(image.mean.sum()))
         error.append(float(np.sqrt(np.square(image.stderr).sum())))
     assert error[0] < (0.008 if aimed else 0.04) * total[0]
-    assert error[1] < (0.008 if aimed else 0.15) * total[0]
+    assert error[1] < (0.02 if several else 0.008) * total[0]
     limit = stats.t.ppf(1.0 - 0.5 * LEVEL / 3 / len(CASES), 15)
     fine = (np.arange(4) - 1.5) * 0.5
     points = [np.array([places(name)[0] + x, y]) for x in fine for y in fine]

@@ -115,8 +115,8 @@ class Ahead:
         cached = any(map(is_cached, kernels))
         self._report = None if cached else report
         self._say()
-        # Polarised and diffracted light, phases, gradients, media that bend light and motion have other kernels, and few
-        # scenes have them.
+        # Polarised and diffracted light, phases, gradients, media that bend light and motion have other kernels, and
+        # few scenes have them.
         plain = not scene.transport.polarisation and scene.transport.diffraction == "none"
         usual = (
             plain and not has_phases(scene) and not has_gradients(scene) and not any_bends(scene) and not scene.moves

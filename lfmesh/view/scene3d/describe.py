@@ -282,7 +282,10 @@ def _particles(world: World, number: int) -> Rows:
 def _fields(model: Model) -> Rows:
     """Return the non-default fields of a table, except its kind, spectrum and motion."""
     fields = model.model_dump(exclude={"kind", "spectrum", "motion"}, exclude_defaults=True)
-    values = {key: value if isinstance(value, tuple) else (value,) for key, value in fields.items()}
+    fields |= {key: getattr(model, key).model_dump() for key, value in fields.items() if isinstance(value, dict)}
+    # A table, such as a polarisation, by its values.
+    opened = {key: tuple(value.values()) if isinstance(value, dict) else value for key, value in fields.items()}
+    values = {key: value if isinstance(value, tuple) else (value,) for key, value in opened.items()}
     return [
         (key, " ".join(part if isinstance(part, str) else f"{part:zg}" for part in value))
         for key, value in values.items()

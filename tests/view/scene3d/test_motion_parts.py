@@ -47,6 +47,13 @@ def test_lamps_media_and_the_camera_have_ways_and_what_rests_has_none() -> None:
     assert dict(describe(world, "media[0]"))["motion"] == "0 3000 0 mm/s"
 
 
+def test_a_polarised_lamp_is_described_by_its_state() -> None:
+    lamp = {"kind": "point", "position_mm": [0.0, 9.0, -50.0], "power_w": 1.0}
+    lamp["polarisation"] = {"kind": "linear", "angle_deg": 30.0}
+    world = moving(targets=(BALL,), lights=(lamp,), **{"transport.polarisation": True, "exposure": None})
+    assert dict(describe(world, "lights[0]"))["polarisation"] == "linear 30"
+
+
 def test_a_drawing_shows_bodies_at_the_end_as_the_camera_then_sees_them() -> None:
     bodies = (BALL, BALL | {"motion": UP})
     still, alone = (layout(moving(targets=bodies).scene).targets[k] for k in (0, 1))

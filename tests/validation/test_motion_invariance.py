@@ -67,11 +67,6 @@ def scene_of(folder: Path, *targets: Tables, **tables: Any) -> lf.Scene:
 
 # Everything moves
 
-SIDE: Tables = {
-    "shape": {"kind": "plane", "width_mm": 8.0, "height_mm": 8.0}, "position_mm": (3.2, 0.0, -56.0),
-    "rotation_deg": (0.0, 90.0, 0.0), "material": {"reflectance": 0.7, "radiance_w_m2_sr": 1.0},
-}  # fmt: skip
-
 SCREW = frame.frame((6.0, -9.0, 14.0), (0.7, -1.1, 0.4))
 """Motion in the exposure, world frame."""
 
@@ -140,7 +135,7 @@ def test_one_motion_of_everything_changes_nothing(name: str, folder: Path) -> No
 
 
 def test_one_motion_of_everything_changes_nothing_in_the_forward_method(folder: Path) -> None:
-    still = scene_of(folder, CHART, BOX, SIDE, lights=[DISK], transport={"method": "forward", "samples": 256})
+    still = scene_of(folder, CHART, BOX, lights=[DISK], transport={"method": "forward", "samples": 256})
     assert_same(profiles(stack(all_carried(still, DISK), SEEDS)), profiles(stack(still, OTHER_SEEDS)), 0.02)
 
 

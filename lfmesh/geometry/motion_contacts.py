@@ -1,9 +1,9 @@
 """Proof that two moving surfaces do not touch, by conservative advancement.
 
-If two surfaces are a distance d apart at a time, and no two of their points approach faster than v, they stay apart for
-d / v (B. Mirtich, Impulse-based dynamic simulation of rigid body systems, 1996). Here the claim is made for pairs of
-nodes of two trees of facets and for intervals of time. A pair that is not proven apart is divided: in space if the
-nodes are larger than their motion, else in time.
+If two convex bodies are a distance d apart at a time, and no two of their points approach along the direction of that
+distance faster than v, they stay apart for d / v (B. Mirtich, Impulse-based dynamic simulation of rigid body systems,
+1996). Here the claim is made for pairs of nodes of two trees of facets and for intervals of time. A pair that is not
+proven apart is divided: in space if the nodes are larger than their motion, else in time.
 """
 
 from itertools import pairwise
@@ -18,8 +18,8 @@ from lfmesh.geometry.rigid_motion import fill_pose, segment_at, sweep
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 
-LARGEST_LEAF = 2
-"""Most facets per leaf."""
+LARGEST_LEAF = 1
+"""Facets per leaf: the direction of a distance is that of two facets."""
 
 MOST_STEPS = 1 << 23
 """Pairs of nodes and intervals after which a proof is given up: some ten seconds."""
@@ -28,6 +28,7 @@ DEEPEST = 512
 """Entries of the list of open pairs; each division adds one, and none is divided more often than 64 times per kind."""
 
 Numbers = NDArray[np.int64]
+Vector = tuple[float, float, float]
 
 
 @by_address
@@ -36,9 +37,8 @@ class MovingSurface(NamedTuple):
 
     middle: Array  # (2 · leaves, 3) mm, centre of each node's sphere
     reach: Array  # (2 · leaves,) mm, its radius
-    corners: Array  # (leaves · size, 3, 3) mm, of the facets, leaf by leaf; some twice, to fill the leaves
+    corners: Array  # (leaves, 3, 3) mm, of the facets, leaf by leaf; some twice, to fill the leaves
     leaves: int  # a power of two
-    size: int  # facets per leaf
     motion: NDArray[np.void]  # (n,) SEGMENT
 
 
@@ -65,7 +65,7 @@ def moving_surface(corners: Array, motion: NDArray[np.void]) -> MovingSurface:
     tree = box_tree(corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1), LARGEST_LEAF, 0.0)
     middle = 0.5 * (tree.low + tree.high)
     reach = 0.5 * np.linalg.norm(tree.high - tree.low, axis=1)
-    return MovingSurface(middle, reach, np.ascontiguousarray(corners[tree.order]), tree.leaves, tree.size, motion)
+    return MovingSurface(middle, reach, np.ascontiguousarray(corners[tree.order]), tree.leaves, motion)
 
 
 def swept_box(corners: Array, motion: NDArray[np.void], begin_s: float, end_s: float) -> Array:
@@ -121,10 +121,6 @@ def _first_contact(
     """Return the time of the first contact while both bodies follow one segment of their motions."""
     first, second, second_seen = work.poses
     row_one, row_other = one.motion[segment_one], other.motion[segment_other]
-    slide = 0.0
-    for i in range(3):
-        slide += (row_one.velocity[i] - row_other.velocity[i]) ** 2
-    slide = np.sqrt(slide)
     nodes, spans = work.nodes, work.spans
     nodes[0, 0], nodes[0, 1], spans[0, 0], spans[0, 1] = 1, 1, window[0], window[1]
     count, found, steps, known = 1, np.inf, 0, np.nan
@@ -142,12 +138,20 @@ def _first_contact(
             fill_pose(other.motion, segment_other, segment_other + 1, middle, second)
             _relative(first, second, second_seen)
             known = middle
-        # A leaf is represented by its facets, another node by its sphere.
+        # A leaf is represented by its facet, another node by its sphere.
         reach_one = 0.0 if a >= one.leaves else one.reach[a]
         reach_other = 0.0 if b >= other.leaves else other.reach[b]
-        apart = _apart(one, a, other, b, second_seen, work.facets) - reach_one - reach_other
-        speed = slide + _turning_speed(row_one, one, a) + _turning_speed(row_other, other, b)
-        moved = 0.5 * speed * (end - begin)
+        apart, direction = _apart(one, a, other, b, work)
+        apart -= reach_one + reach_other
+        # Along the direction that separates the nodes, and in all.
+        one_turns, other_turns = _turning_speed(row_one, one, a), _turning_speed(row_other, other, b)
+        turning = one_turns * _sine(direction, row_one.axis) + other_turns * _sine(direction, row_other.axis)
+        slide, whole = 0.0, 0.0
+        for i in range(3):
+            slide += direction[i] * (row_one.velocity[i] - row_other.velocity[i])
+            whole += (row_one.velocity[i] - row_other.velocity[i]) ** 2
+        moved = 0.5 * (end - begin) * (abs(slide) + turning)
+        path = 0.5 * (end - begin) * (np.sqrt(whole) + one_turns + other_turns)
         if apart - moved > near:
             continue
         if max(reach_one, reach_other) > 0.0 and max(reach_one, reach_other) >= moved:
@@ -160,8 +164,8 @@ def _first_contact(
             continue
         touches = reach_one + reach_other == 0.0 and (apart <= near or moved <= near)
         if touches:
-            found = min(found, begin if moved <= near else middle)
-            if moved <= near:
+            found = min(found, begin if path <= near else middle)
+            if path <= near:
                 continue
         if not touches:
             nodes[count, 0], nodes[count, 1], spans[count, 0], spans[count, 1] = a, b, middle, end
@@ -193,34 +197,45 @@ def _turning_speed(row: Any, surface: MovingSurface, node: int) -> float:
     x = start[0, 0] * m[0] + start[0, 1] * m[1] + start[0, 2] * m[2] + start[0, 3] - row.centre[0]
     y = start[1, 0] * m[0] + start[1, 1] * m[1] + start[1, 2] * m[2] + start[1, 3] - row.centre[1]
     z = start[2, 0] * m[0] + start[2, 1] * m[1] + start[2, 2] * m[2] + start[2, 3] - row.centre[2]
-    ax, ay, az = row.axis[0], row.axis[1], row.axis[2]
-    cx, cy, cz = ay * z - az * y, az * x - ax * z, ax * y - ay * x
-    return row.rate * (np.sqrt(cx * cx + cy * cy + cz * cz) + surface.reach[node])
+    # Its component along n is n · (a × r) = r · (n × a), which the sine of the angle between n and a bounds.
+    return row.rate * (_sine((x, y, z), row.axis) + surface.reach[node])
+
+
+@inlined
+def _sine(p: Vector, axis: Any) -> float:
+    """Return the length of a vector's part across a unit axis."""
+    x, y, z = p[1] * axis[2] - p[2] * axis[1], p[2] * axis[0] - p[0] * axis[2], p[0] * axis[1] - p[1] * axis[0]
+    return np.sqrt(x * x + y * y + z * z)
 
 
 @kernel
-def _apart(
-    one: MovingSurface, a: int, other: MovingSurface, b: int, second_seen: Array, facets: Array
-) -> float:  # fmt: skip
-    """Return the distance of two nodes: of the facets of leaves, and of the centres of other nodes, mm."""
-    least = np.inf
-    for i in range(one.size if a >= one.leaves else 1):
-        for k in range(3):
-            for axis in range(3):
-                if a >= one.leaves:
-                    facets[0, k, axis] = one.corners[(a - one.leaves) * one.size + i, k, axis]
-                else:
-                    facets[0, k, axis] = one.middle[a, axis]
-        for j in range(other.size if b >= other.leaves else 1):
-            for k in range(3):
-                if b >= other.leaves:
-                    _seen(second_seen, other.corners[(b - other.leaves) * other.size + j, k], facets[1, k])
-                else:
-                    _seen(second_seen, other.middle[b], facets[1, k])
-            if a < one.leaves and b < other.leaves:
-                return np.sqrt(_square(facets[0, 0], facets[1, 0]))
-            least = min(least, facets_apart(facets[0], facets[1]))
-    return least
+def _apart(one: MovingSurface, a: int, other: MovingSurface, b: int, work: _Work) -> tuple[float, Vector]:
+    """Return the distance of two nodes, of the facets of leaves and the centres of others, mm, and its unit direction.
+
+    The direction is one of the world, and zero if they cut each other.
+    """
+    first, _, second_seen = work.poses
+    own, its = work.facets
+    for k in range(3):
+        for axis in range(3):
+            own[k, axis] = one.corners[a - one.leaves, k, axis] if a >= one.leaves else one.middle[a, axis]
+        if b >= other.leaves:
+            _seen(second_seen, other.corners[b - other.leaves, k], its[k])
+        else:
+            _seen(second_seen, other.middle[b], its[k])
+    if a < one.leaves and b < other.leaves:
+        x, y, z = own[0, 0] - its[0, 0], own[0, 1] - its[0, 1], own[0, 2] - its[0, 2]
+    else:
+        x, y, z = _between(own, its)
+    length = np.sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return 0.0, (0.0, 0.0, 0.0)
+    x, y, z = x / length, y / length, z / length
+    return length, (
+        first[0, 0] * x + first[0, 1] * y + first[0, 2] * z,
+        first[1, 0] * x + first[1, 1] * y + first[1, 2] * z,
+        first[2, 0] * x + first[2, 1] * y + first[2, 2] * z,
+    )
 
 
 @inlined
@@ -229,33 +244,41 @@ def _seen(pose: Array, point: Array, into: Array) -> None:
         into[i] = pose[i, 0] * point[0] + pose[i, 1] * point[1] + pose[i, 2] * point[2] + pose[i, 3]
 
 
-@inlined
-def _square(p: Array, q: Array) -> float:
-    """Return the squared distance of two points."""
-    return (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2
-
-
 @kernel
 def facets_apart(one: Array, other: Array) -> float:
     """Return the distance of two triangles, mm; 0 if they cut each other.
-
-    The closest points of two triangles that do not cut lie on two edges, or at a corner and in a face.
 
     Parameters
     ----------
     one, other : (3, 3) float64, mm
         Corners; equal ones make a segment or a point.
     """
-    least = min(_from_face(one, other), _from_face(other, one))
-    for i in range(3):
-        for j in range(3):
-            least = min(least, _edges_apart(one[i], one[(i + 1) % 3], other[j], other[(j + 1) % 3]))
-    return np.sqrt(least)
+    x, y, z = _between(one, other)
+    return np.sqrt(x * x + y * y + z * z)
 
 
 @kernel
-def _from_face(face: Array, other: Array) -> float:
-    """Return the least squared distance of corners from the face that they lie over; 0 if an edge passes through."""
+def _between(one: Array, other: Array) -> Vector:
+    """Return the shortest vector between two triangles, of either sense; zero if they cut each other.
+
+    The closest points of two triangles that do not cut lie on two edges, or at a corner and in a face.
+    """
+    least = _shorter(_from_face(one, other), _from_face(other, one))
+    for i in range(3):
+        for j in range(3):
+            least = _shorter(least, _edges_apart(one[i], one[(i + 1) % 3], other[j], other[(j + 1) % 3]))
+    return least
+
+
+@inlined
+def _shorter(p: Vector, q: Vector) -> Vector:
+    """Return the shorter of two vectors."""
+    return q if q[0] * q[0] + q[1] * q[1] + q[2] * q[2] < p[0] * p[0] + p[1] * p[1] + p[2] * p[2] else p
+
+
+@kernel
+def _from_face(face: Array, other: Array) -> Vector:
+    """Return the shortest vector from corners to the face that they lie over; zero if an edge passes through."""
     a, b, c = face[0], face[1], face[2]
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -263,28 +286,30 @@ def _from_face(face: Array, other: Array) -> float:
     square = normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2
     least = np.inf
     if square == 0.0:
-        return least
+        return least, least, least
     for k in range(3):
         p, q = other[k], other[(k + 1) % 3]
         here, there = _height(a, normal, p), _height(a, normal, q)
         if _lies_over(face, normal, p[0], p[1], p[2]):
-            least = min(least, here * here / square)
+            least = min(least, abs(here) / square)
         if (here < 0.0 < there) or (there < 0.0 < here):
             share = here / (here - there)
             x, y, z = p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1]), p[2] + share * (q[2] - p[2])
             if _lies_over(face, normal, x, y, z):
-                return 0.0
-    return least
+                return 0.0, 0.0, 0.0
+    if least == np.inf:
+        return least, least, least
+    return least * normal[0], least * normal[1], least * normal[2]
 
 
 @inlined
-def _height(a: Array, normal: tuple[float, float, float], p: Array) -> float:
+def _height(a: Array, normal: Vector, p: Array) -> float:
     """Return the height of a point over the plane of a face, times the length of the normal."""
     return normal[0] * (p[0] - a[0]) + normal[1] * (p[1] - a[1]) + normal[2] * (p[2] - a[2])
 
 
 @kernel
-def _lies_over(face: Array, normal: tuple[float, float, float], x: float, y: float, z: float) -> bool:
+def _lies_over(face: Array, normal: Vector, x: float, y: float, z: float) -> bool:
     """Tell whether the foot of the perpendicular from a point to the plane of a face lies in the face."""
     for k in range(3):
         p, q = face[k], face[(k + 1) % 3]
@@ -297,8 +322,8 @@ def _lies_over(face: Array, normal: tuple[float, float, float], x: float, y: flo
 
 
 @kernel
-def _edges_apart(p: Array, q: Array, r: Array, s: Array) -> float:
-    """Return the squared distance of the segments pq and rs (C. Ericson, Real-time collision detection, 5.1.9)."""
+def _edges_apart(p: Array, q: Array, r: Array, s: Array) -> Vector:
+    """Return the shortest vector from segment rs to pq (C. Ericson, Real-time collision detection, 2005, 5.1.9)."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     ex, ey, ez = s[0] - r[0], s[1] - r[1], s[2] - r[2]
     fx, fy, fz = p[0] - r[0], p[1] - r[1], p[2] - r[2]
@@ -310,5 +335,4 @@ def _edges_apart(p: Array, q: Array, r: Array, s: Array) -> float:
     if e == 0.0 or v < 0.0 or v > 1.0:
         v = min(max(v, 0.0), 1.0)
         u = min(max((b * v - c) / a, 0.0), 1.0) if a > 0.0 else 0.0
-    x, y, z = fx + u * dx - v * ex, fy + u * dy - v * ey, fz + u * dz - v * ez
-    return x * x + y * y + z * z
+    return fx + u * dx - v * ex, fy + u * dy - v * ey, fz + u * dz - v * ez

@@ -81,6 +81,14 @@ def test_bodies_that_slide_along_each_other_stay_apart_at_any_gap(gap_mm: float)
     assert near[0] - 1e-3 < first_contact(lower, sinking, 0.0, 1.0, NEAR_MM) < near[1] + 1e-3
 
 
+def test_a_body_may_turn_on_a_table_without_steps_in_time() -> None:
+    table = moving_surface(box(200.0, (0.0, -110.0 - 2.5 * NEAR_MM, 0.0)), REST)
+    spin = rigid_motion.steady((500.0, 0.0, 0.0), (0.0, 36000.0, 0.0), (-50.0, 0.0, 0.0))
+    assert first_contact(moving_surface(box(20.0, (0.0, 0.0, 0.0)), spin), table, 0.0, 0.1, NEAR_MM) == np.inf
+    tilted = rigid_motion.steady((500.0, 0.0, 0.0), (0.0, 36000.0, 10.0), (-50.0, 0.0, 0.0))
+    assert first_contact(moving_surface(box(20.0, (0.0, 0.0, 0.0)), tilted), table, 0.0, 0.1, NEAR_MM) < 0.1
+
+
 def test_bodies_that_move_as_one_stay_apart() -> None:
     spin = rigid_motion.steady((5.0, 0.0, 0.0), (0.0, 40.0, 100.0), (3.0, 0.0, 0.0))
     one, other = (moving_surface(box(10.0, (11.0 * k, 0.0, 0.0)), spin) for k in range(2))

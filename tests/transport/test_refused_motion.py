@@ -86,6 +86,24 @@ def test_glass_may_pass_glass_without_touching() -> None:
         build(targets=[glass_ball([0.0, 0.0, -150.0]), glass_ball([-20.0, 9.9, -150.0], going(400.0))])
 
 
+def test_glass_may_turn_on_a_table() -> None:
+    glass = {"shape": {"kind": "cylinder", "radius_mm": 20.0, "height_mm": 30.0}, "index": 1.5}
+    vase = {"refractor": glass, "position_mm": [0.0, 0.0, -150.0], "rotation_deg": [90.0, 0.0, 0.0]}
+    table = {"shape": {"kind": "box", "size_mm": [200.0, 10.0, 100.0]}, "position_mm": [0.0, -20.01, -150.0]}
+    build(targets=[vase | {"motion": {"spin_deg_s": [0.0, 3600.0, 0.0]}}, table])
+    with pytest.raises(lf.SceneError, match=r"targets\[0\] and targets\[1\] touch at t = 0\.0\d+ s"):
+        build(targets=[vase | {"motion": {"spin_deg_s": [0.0, 3600.0, 5.0]}}, table])
+
+
+def test_more_motions_than_packets_can_tell_apart_are_refused() -> None:
+    lamps = [
+        {"kind": "point", "position_mm": [k - 60.0, 0.0, -150.0], "power_w": 1.0, "motion": going(k + 1.0)}
+        for k in range(121)
+    ]
+    with pytest.raises(lf.SceneError, match="more than 120 things move differently relative to the camera"):
+        build(lights=lamps)
+
+
 def test_a_lamp_may_not_enter_glass() -> None:
     lamp = {"kind": "point", "position_mm": [50.0, 0.0, -150.0], "power_w": 1.0}
     build(targets=[glass_ball([0.0, 0.0, -150.0])], lights=[lamp | {"motion": going(-440.0)}])

@@ -223,7 +223,7 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
             corners = [_held_throughout(motions, i, hull) for i, hull in enumerate(hulls)]
         fields = with_free(fields, [*corners, housing.moved(moves[CAMERA_FRAME, OBJECT_FRAME]).vertices])
         fields = with_short_chords(fields, pixel_sizes(bent, scene, report))
-    objects = with_fields(objects, fields, scene, object_mesh)
+    objects = with_fields(objects, fields, scene, object_mesh, motions)
     columns, rows = scene.camera.sensor.pixels
     own = scene.camera.sensor
     sensor = SensorTables(columns, rows, own.pixel_mm, own.reflectance, index2_behind_lens(scene, wavelengths_nm))

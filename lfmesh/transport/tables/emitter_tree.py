@@ -60,6 +60,13 @@ class Bounds(NamedTuple):
     both: NDArray[np.bool_]  # (n,) shines on both sides
     power: Array  # (n,)
 
+    def some(self, which: NDArray[np.int64]) -> "Bounds":
+        """Return the bounds of some pieces."""
+        return Bounds(
+            self.low[which], self.high[which], self.normal[which], self.spread[which], self.both[which],
+            self.power[which],
+        )  # fmt: skip
+
 
 class Work(NamedTuple):
     """Working memory while a tree grows."""

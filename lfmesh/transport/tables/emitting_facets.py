@@ -113,15 +113,17 @@ def _trees(
         return *emitter_tree(bounds), None
     of_piece = movers[objects.facets["body"][facet]]
     orders: list[NDArray[np.int64]] = []
-    forest, trees, count = [], [], 0
+    forest: list[NDArray[np.void]] = []
+    trees: list[tuple[int, int]] = []
+    pieces, count = 0, 0
     for mover in np.unique(of_piece):
         own = np.flatnonzero(of_piece == mover)
-        order, nodes = emitter_tree(Bounds._make(column[own] for column in bounds))
-        trees.append((count, mover))
+        order, nodes = emitter_tree(bounds.some(own))
+        trees.append((count, int(mover)))
         nodes["right"][nodes["right"] > 0] += count
-        for name in ("begin", "end"):
-            nodes[name] += sum(len(earlier) for earlier in orders)
-        count += len(nodes)
+        nodes["begin"] += pieces
+        nodes["end"] += pieces
+        pieces, count = pieces + len(own), count + len(nodes)
         orders.append(own[order])
         forest.append(nodes)
     return np.concatenate(orders), np.concatenate(forest), np.array(trees, np.int64)

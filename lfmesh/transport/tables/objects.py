@@ -29,6 +29,7 @@ from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import light_tables
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
+from lfmesh.transport.tables.motions import Motions
 from lfmesh.transport.tables.single_scatter import single_scatter_tables
 from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
 from lfmesh.transport.tables.tables import (
@@ -339,7 +340,9 @@ def with_volumes(
     return tables._replace(media=media, volumes=volumes, outer_radius=outer, lit_radius=lit)
 
 
-def with_fields(tables: ObjectTables, fields: BendingFields | None, scene: Scene, mesh: Mesh) -> ObjectTables:
+def with_fields(
+    tables: ObjectTables, fields: BendingFields | None, scene: Scene, mesh: Mesh, motions: Motions | None = None
+) -> ObjectTables:
     """Return the tables with media that bend light, and with spheres enlarged to hold them.
 
     Parameters
@@ -349,6 +352,7 @@ def with_fields(tables: ObjectTables, fields: BendingFields | None, scene: Scene
     scene : Scene
     mesh : Mesh
         Mesh of targets and housing, object frame.
+    motions : Motions, optional
 
     Raises
     ------
@@ -370,7 +374,7 @@ def with_fields(tables: ObjectTables, fields: BendingFields | None, scene: Scene
     tables = tables._replace(
         fields=fields, outer_radius=max(tables.outer_radius, reach), lit_radius=max(tables.lit_radius, reach)
     )
-    return tables._replace(sources=sources_of(scene, tables, mesh))
+    return tables._replace(sources=sources_of(scene, tables, mesh, motions))
 
 
 def _refuse_touched_finishes(scene: Scene, bodies: NDArray[np.int64], first: NDArray[np.int64]) -> None:

@@ -247,6 +247,12 @@ def fill_pose(motion: NDArray[np.void], first: int, last: int, time_s: float, po
         number += 1
     row = motion[number]
     time = time_s - row.begin_s
+    if row.rate == 0.0:
+        for i in range(3):
+            for k in range(4):
+                pose[i, k] = row.start[i, k]
+            pose[i, 3] += row.velocity[i] * time
+        return
     angle = row.rate * time
     # 1 − cos without cancellation.
     sine, half = np.sin(angle), np.sin(0.5 * angle)

@@ -129,7 +129,8 @@ class Workspace:
         self.tops = np.zeros(TOPS, np.int64)
         self.stacks = Stacks(packet, self.tops, max(CHILDREN, most_orders(self.tables)))
         self.asked = np.zeros(MOST_NODES, ASKED)
-        self.moving = moving(self.tables.motions, chunk)
+        from_sensor = options.adjoint and not (options.tracing or options.record or polarised)
+        self.moving = moving(self.tables.motions, chunk, all_frames=not from_sensor)
         self.origins = np.zeros((chunk, 3), np.float32)
         self.directions = np.zeros((chunk, 3), np.float32)
         self.deposits = np.zeros(0, DEPOSIT)
@@ -308,9 +309,7 @@ class Workspace:
                 found = self._find(face.cells, count)
             shade_cells(wave, found, self.mla_block, self.numbers, face, frames, lens_surfaces, options, flow, in_order)
         elif station == OBJECTS:
-            admit_to_objects(
-                wave, origins, directions, self.frames_of_objects, tables.objects.fields, options, self.moving
-            )
+            admit_to_objects(wave, origins, directions, frames, tables.objects.fields, options, self.moving)
             found = self._find(OBJECTS, count)
             self._find_moved(found)
             # Only the box of the lens is used there: one compiled kernel for all lenses.

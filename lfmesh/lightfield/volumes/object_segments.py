@@ -145,9 +145,10 @@ def _followed(work: Workspace, counts: NDArray[np.bool_]) -> Segments:
     while top := int(work.tops[OBJECTS]):
         fresh = work.stacks.waiting(OBJECTS)[known:]
         unused = np.empty((len(fresh), 3), np.float32)
+        tables = work.tables
         admit_to_objects(
-            fresh, unused, unused.copy(), work.frames_of_objects, work.tables.objects.fields, work.options, work.moving
-        )
+            fresh, unused, unused.copy(), tables.frames, tables.objects.fields, work.options, work.moving
+        )  # fmt: skip
         p = np.stack([fresh[axis] for axis in ("x", "y", "z")], axis=-1)
         is_child = np.ones(len(fresh), np.bool_)
         if len(starts):

@@ -47,29 +47,77 @@ def begin(moving: Any, options: Options, packet: Any) -> None:
     """
     if moving is None:
         return
-    source = np.uint64(packet.source)
-    if moving.known[0] != source or moving.known[1] != options.stream:
-        _set_time(moving, options, packet)
-        moving.known[0], moving.known[1] = source, options.stream
-        if moving.held[0] != STILL:
-            moving.held[0] = STALE
+    if _is_new(moving, options, packet):
+        _set_time(moving, drawn_time(moving.motions, options, packet))
     _hold_frames(moving, mover_of_frame(packet.frame))
 
 
+@inlined
+def begin_query(moving: Any, options: Options, packet: Any, i: int) -> None:
+    """Make the moment of a packet the present one, before its query, and note it for `begin_hit`.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    options : Options
+    packet : PACKET
+    i : int
+        Number of the packet in its wave.
+    """
+    if moving is None:
+        return
+    if _is_new(moving, options, packet):
+        _set_time(moving, drawn_time(moving.motions, options, packet))
+    moving.times[i] = moving.time_s[0]
+
+
+@inlined
+def begin_hit(moving: Any, options: Options, packet: Any, i: int) -> None:
+    """Make the moment of a packet the present one, after its query; `hold_frame` follows before its event.
+
+    Parameters
+    ----------
+    moving : Moving or None
+    options : Options
+    packet : PACKET
+    i : int
+        Number of the packet in its wave.
+    """
+    if moving is None:
+        return
+    if _is_new(moving, options, packet):
+        _set_time(moving, moving.times[i])
+
+
+@inlined
+def _is_new(moving: Any, options: Options, packet: Any) -> bool:
+    """Tell whether a packet has another time than the last one, by its source, which becomes the known one."""
+    source = np.uint64(packet.source)
+    if moving.known[0] == source and moving.known[1] == options.stream:
+        return False
+    moving.known[0], moving.known[1] = source, options.stream
+    if moving.held[0] != STILL:
+        moving.held[0] = STALE
+    return True
+
+
 @kernel
-def _set_time(moving: Any, options: Options, packet: Any) -> None:
+def _set_time(moving: Any, time_s: float) -> None:
+    """Set the present time, and the frames of all movers at that time."""
     motions = moving.motions
-    time_s = drawn_time(motions, options, packet)
     moving.time_s[0] = time_s
-    camera, world, there = moving.scratch
-    fill_pose(motions.segments, motions.first[0], motions.first[1], time_s, camera)
-    for mover in range(1, len(motions.first) - 1):
-        fill_pose(motions.segments, motions.first[mover], motions.first[mover + 1], time_s, world)
-        _relative(camera, world, there)
-        for i in range(3):
-            for k in range(4):
-                moving.back[mover, i, k] = there[i, k]
-        _invert(there, moving.to[mover])
+    segments, first, there = motions.segments, motions.first, moving.scratch[1]
+    if motions.camera_moves:
+        fill_pose(segments, first[0], first[1], time_s, moving.scratch[0])
+    for mover in range(1, len(first) - 1):
+        fill_pose(segments, first[mover], first[mover + 1], time_s, there)
+        if motions.camera_moves:
+            _relative(moving.scratch[0], there, moving.back[mover])
+        else:
+            for i in range(3):
+                for k in range(4):
+                    moving.back[mover, i, k] = there[i, k]
+        _invert(moving.back[mover], moving.to[mover])
 
 
 @kernel
@@ -292,16 +340,21 @@ def _hold_frames(moving: Any, mover: int) -> None:
 
 @kernel
 def _fill_frames(moving: Any, frames: Array, mover: int) -> None:
+    """Fill the moves between the frame of a mover, in place of the object frame, and camera and world."""
     into = moving.frames
     for other in (CAMERA_FRAME, WORLD_FRAME):
         if mover == STILL:
             for i in range(3):
                 for k in range(4):
-                    into[other, OBJECT_FRAME, i, k] = frames[other, OBJECT_FRAME, i, k]
                     into[OBJECT_FRAME, other, i, k] = frames[OBJECT_FRAME, other, i, k]
+                    into[other, OBJECT_FRAME, i, k] = frames[other, OBJECT_FRAME, i, k]
         else:
-            _compose(moving.to[mover], frames[other, OBJECT_FRAME], into[other, OBJECT_FRAME])
             _compose(frames[OBJECT_FRAME, other], moving.back[mover], into[OBJECT_FRAME, other])
+            if moving.all_frames:
+                _compose(moving.to[mover], frames[other, OBJECT_FRAME], into[other, OBJECT_FRAME])
+        if not moving.all_frames:
+            # The camera comes first.
+            break
 
 
 @kernel

@@ -17,7 +17,7 @@ from lfmesh.transport.events.bending import bends_before, next_chord, straight_m
 from lfmesh.transport.events.bodies import RANK, bodies_round
 from lfmesh.transport.events.crossing import MAX_TRIES, end, end_here, lose, move_packet, requery, too_deep, write_query
 from lfmesh.transport.events.facets import clear_of, next_query_from
-from lfmesh.transport.events.moving import begin, enter_mover, hold_frame, set_rays, take_ray
+from lfmesh.transport.events.moving import begin_hit, begin_query, enter_mover, hold_frame, set_rays, take_ray
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.travel import travel
 from lfmesh.transport.lights.combine import bring_light
@@ -89,6 +89,7 @@ def admit_to_objects(
     origins, directions : (n, 3) float32
         Output, in the object frame.
     frames : (6, 6, 3, 4) float64
+        See `tables.frames`.
     fields : BendingFields or None
         Media that bend light; each packet is turned along its chord.
     options : Options
@@ -97,7 +98,7 @@ def admit_to_objects(
     """
     _begin_queries(moving)
     for i in range(len(wave)):
-        begin(moving, options, wave[i])
+        begin_query(moving, options, wave[i], i)
         _move_to_objects(moving, fields, frames, wave[i])
         next_chord(fields, wave[i])
         _write_moved(moving, origins, directions, i, wave[i])
@@ -178,7 +179,7 @@ def shade_objects(
     facets = objects.facets
     for i in range(len(wave)):
         packet = wave[i]
-        begin(flow.moving, options, packet)
+        begin_hit(flow.moving, options, packet, i)
         begin_in_field(objects.fields, options, packet)
         here = mover_of_frame(packet.frame)
         hit, again = first_hit(flow.moving, objects, packet, found, i)

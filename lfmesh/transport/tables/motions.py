@@ -49,11 +49,13 @@ class Moving(NamedTuple):
     motions: Motions
     known: NDArray[np.uint64]  # (2,) source and stream of the packet whose time is set
     time_s: Array  # (1,)
+    times: Array  # (packets,) of the packets of a wave, s
     to: Array  # (movers, 3, 4) from the object frame to the frame of each mover
     back: Array  # (movers, 3, 4) and back
     scratch: Array  # (3, 3, 4)
     frames: Array  # (6, 6, 3, 4) in which the frame of the mover `held` stands for the object frame
     held: Numbers  # (1,)
+    all_frames: bool  # `frames` holds all moves; else, for paths from the sensor, only those to the camera
     rays: Array  # (movers, 6) ray of the packet in the frame of each mover
     # Queries of a wave, for the mesh of each mover from 1 on.
     origins: NDArray[np.float32]  # (movers, packets, 3)
@@ -67,7 +69,7 @@ FAR = -2
 """Stands for a facet in `Moving.found` if the ray passes far from all targets of the mover."""
 
 
-def moving(motions: Motions | None, packets: int) -> Any:
+def moving(motions: Motions | None, packets: int, *, all_frames: bool = True) -> Any:
     """Return the working memory of a thread; None without motion.
 
     Parameters
@@ -75,6 +77,8 @@ def moving(motions: Motions | None, packets: int) -> Any:
     motions : Motions or None
     packets : int
         Largest number of packets in a wave.
+    all_frames : bool
+        See `Moving`.
     """
     if motions is None:
         return None
@@ -83,9 +87,9 @@ def moving(motions: Motions | None, packets: int) -> Any:
     queries = np.zeros((movers, packets, 3), np.float32)
     facets = np.zeros((movers, packets), np.int32)
     return Moving(
-        motions, _NOTHING_KNOWN.copy(), np.zeros(1), still, still.copy(), np.zeros((3, 3, 4)), motions.frames.copy(),
-        np.array([STILL]), np.zeros((movers, 6)), queries, queries.copy(), np.zeros(movers, np.int64), facets,
-        facets.copy(),
+        motions, _NOTHING_KNOWN.copy(), np.zeros(1), np.zeros(packets), still, still.copy(), np.zeros((3, 3, 4)),
+        motions.frames.copy(), np.array([STILL]), all_frames, np.zeros((movers, 6)), queries, queries.copy(),
+        np.zeros(movers, np.int64), facets, facets.copy(),
     )  # fmt: skip
 
 

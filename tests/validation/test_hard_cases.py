@@ -13,6 +13,7 @@ from lfmesh.accuracy.hard import (
     diffraction,
     media,
     meshes,
+    motions,
     openings,
     pictures,
     tanks,
@@ -36,6 +37,7 @@ LONG = [
     diffraction.lenslets_10_um_and_pixels_1_um,  # the same closed form in transport/test_diffraction
     openings.hemispheres_to_the_lens,  # hemispheres_to_the_sensor
     pictures.room_of_one_temperature,  # test_kirchhoff
+    motions.a_hundred_motions_at_once,  # spins in test_motion_invariance
     pictures.caustic_of_a_ball,  # bounds of caustics in test_certainty
 ]
 """Cases of several seconds, each with the quicker ones that show a fault of its kind."""

@@ -176,7 +176,7 @@ def test_forward_equals_adjoint_behind_a_rod(split: str) -> None:
     assert abs(total[0] - total[1]) < stats.t.ppf(1.0 - 0.5 * LEVEL / 2, 15) * np.hypot(*error)
 
 
-def mirroring(method: str, samples: int) -> lf.Scene:
+def mirroring(method: str, samples: int, split: str = "both") -> lf.Scene:
     """A thick lens close behind a glowing plane, with a mirror for a front face.
 
     The mirror turns light from the sensor to steep angles, at which it turns back in the glass. A third of the light
@@ -191,14 +191,15 @@ def mirroring(method: str, samples: int) -> lf.Scene:
              "material": GLOW}  # fmt: skip
     scene = camera(
         surfaces, distance_mm=0.5, coatings={"mirror": {"reflectance": 0.9}}, targets=[plane],
-        transport={"method": method, "split": "both", "samples": samples, "replicates": 16},
+        transport={"method": method, "split": split, "samples": samples, "replicates": 16},
     )  # fmt: skip
     return scene.changed({"camera.sensor.pixels": [2, 2], "camera.sensor.pixel_mm": 3.0})
 
 
 def test_in_a_mirroring_lens_much_light_turns_back() -> None:
     """At least a fifth of the light from the sensor that leaves the front met a face twice in succession."""
-    world = lf.build(mirroring("adjoint", 16), aimed=False)
+    # Without the plane, on which most of this light would end, all of it escapes.
+    world = lf.build(mirroring("adjoint", 16).changed({"targets": []}), aimed=False)
     draw = np.random.default_rng(6)
     sine, turn = np.sqrt(draw.uniform(size=2000)), draw.uniform(0.0, 2.0 * np.pi, 2000)
     d = np.column_stack([sine * np.cos(turn), sine * np.sin(turn), -np.sqrt(1.0 - sine**2)])
@@ -209,14 +210,18 @@ def test_in_a_mirroring_lens_much_light_turns_back() -> None:
         met = [v.surface for v in paths.vertices(int(row)) if v.surface.startswith("lens surface")]
         out += paths.weight[row]
         turned += paths.weight[row] * any(one == other for one, other in pairwise(met))
-    assert turned > 0.2 * out > 0.0
+    assert out > 0.02 * len(p)
+    assert turned > 0.2 * out
 
 
 @pytest.mark.long
 def test_forward_equals_adjoint_with_light_that_turns_back() -> None:
-    """The adjoint method's image path and ghosts do not follow it, so its packets must."""
+    """The adjoint method's image path and ghosts do not follow it, so its packets must.
+
+    If neither method followed it, they would agree as well, at 1.05 times the image path: ghosts without a turn.
+    """
     total, error = [], []
-    for method, samples in (("adjoint", 8192), ("forward", 65536)):
+    for method, samples in (("adjoint", 65536), ("forward", 1048576)):
         image = unchecked(mirroring(method, samples))
         assert abs(image.ledger.imbalance) < 1e-11
         assert image.ledger.lost_share == 0.0
@@ -224,6 +229,8 @@ def test_forward_equals_adjoint_with_light_that_turns_back() -> None:
         error.append(float(np.sqrt(np.square(image.stderr).sum())))
     assert max(e / t for e, t in zip(error, total, strict=True)) < 0.03
     assert abs(total[0] - total[1]) < stats.t.ppf(1.0 - 0.5 * LEVEL, 15) * np.hypot(*error)
+    image_path = float(unchecked(mirroring("adjoint", 65536, "transmit")).mean.sum())
+    assert min(total) > 1.3 * image_path
 
 
 def test_a_picture_with_ghosts_passes_its_own_proofs() -> None:

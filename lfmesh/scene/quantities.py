@@ -40,6 +40,10 @@ Flag = Annotated[bool, Field(strict=True)]
 Text = Annotated[str, Field(strict=True)]
 FractionOfOne = Annotated[float, Field(strict=True, ge=0, le=1)]
 Index = Annotated[float, Field(strict=True, ge=1, le=10)]
+MOST_INDEX = 10.0
+"""Largest refractive index."""
+FieldNumber = Annotated[float, Field(strict=True, gt=0, le=MOST_INDEX)]
+"""An index relative to air; that of hot air is below 1."""
 GlossIndex = Annotated[float, Field(strict=True, gt=1, le=10)]
 
 Vector = tuple[Number, Number, Number]

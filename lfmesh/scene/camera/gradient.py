@@ -1,4 +1,7 @@
-"""Gradient-index glass of lenses and of the array's plate: its index at every point, and its dispersion."""
+"""Gradient-index glass of lenses and of the array's plate: its index at every point, and its dispersion.
+
+The formulas also give the index of media that bend light, which may be below that of air. That of glass may not.
+"""
 
 from collections.abc import Iterator
 from functools import lru_cache
@@ -26,7 +29,7 @@ from lfmesh.optics.gradient_shapes import (
 )
 from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import Coefficient, Index, Number, Positive, Radius
+from lfmesh.scene.quantities import Coefficient, FieldNumber, Number, Positive, Radius
 
 __all__ = [
     "AnyGradient",
@@ -281,7 +284,7 @@ class RadialSquareGradient(Gradient):
 
     kind: Literal["radial_n2"] = "radial_n2"
     """Kind of gradient."""
-    index: Index
+    index: FieldNumber
     """Refractive index on the axis."""
     coefficients: GivenCoefficients
     """Coefficients c of r², r⁴, ..., in mm⁻², mm⁻⁴, ...; a negative first one converges."""
@@ -295,7 +298,7 @@ class RadialGradient(DispersiveGradient):
 
     kind: Literal["radial_n"] = "radial_n"
     """Kind of gradient."""
-    index: Index
+    index: FieldNumber
     """Refractive index at the vertex."""
     coefficients: GivenCoefficients
     """Coefficients c of r², r⁴, ..., in mm⁻², mm⁻⁴, ...; a negative first one converges."""
@@ -311,7 +314,7 @@ class AxialGradient(DispersiveGradient):
 
     kind: Literal["axial"] = "axial"
     """Kind of gradient."""
-    index: Index
+    index: FieldNumber
     """Refractive index at the vertex."""
     coefficients: GivenCoefficients
     """Coefficients c of z, z², ..., in mm⁻¹, mm⁻², ..."""
@@ -325,7 +328,7 @@ class SphericalGradient(DispersiveGradient):
 
     kind: Literal["spherical"] = "spherical"
     """Kind of gradient."""
-    index: Index
+    index: FieldNumber
     """Refractive index at the vertex."""
     coefficients: GivenCoefficients
     """Coefficients c of t, t², ..., in mm⁻¹, mm⁻², .... On the axis t is z."""
@@ -362,7 +365,7 @@ class XyzGradient(DispersiveGradient):
 
     kind: Literal["xyz"] = "xyz"
     """Kind of gradient."""
-    index: Index
+    index: FieldNumber
     """Refractive index at the vertex."""
     x_coefficients: Coefficients = ()
     """Coefficients a of x, x², ..., in mm⁻¹, mm⁻², .... Omitted: the index is constant along x."""

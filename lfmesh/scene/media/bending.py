@@ -5,23 +5,18 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Tag
 
 from lfmesh.optics.air import REFERENCE_C, REFERENCE_KPA
 from lfmesh.optics.gladstone_dale import index_by_density
 from lfmesh.scene.camera.gradient import AnyGradient, Gradient
 from lfmesh.scene.media.air import Air
+from lfmesh.scene.quantities import FieldNumber
 
 Array = NDArray[np.float64]
 
 INDEX_KEYS = ("index", "density_kg_m3", "pressure_kpa")
 """Quantities that set the index of a medium, a pressure together with `temperature_k`; in a key or in a grid."""
-
-MOST_INDEX = 10.0
-"""Largest index of a medium, relative to air."""
-
-FieldNumber = Annotated[float, Field(strict=True, gt=0, le=MOST_INDEX)]
-"""An index relative to air; that of hot air is below 1."""
 
 
 def _number_or_formula(value: object) -> str:

@@ -30,7 +30,8 @@ from lfmesh.optics.index_fields import (
 )
 from lfmesh.scene import Scene
 from lfmesh.scene.camera.gradient import Gradient
-from lfmesh.scene.media.bending import MOST_INDEX, density_law
+from lfmesh.scene.media.bending import density_law
+from lfmesh.scene.quantities import MOST_INDEX
 from lfmesh.transport.packets.packet import OBJECT_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import AIR, Media
 

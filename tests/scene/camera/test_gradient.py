@@ -129,7 +129,7 @@ def test_coefficients_tell_revolution_and_symmetry() -> None:
         ({"kind": "radial"}, "valid kinds are radial_n2, radial_n, axial, spherical, xyz, selfoc, gradium"),
         ({"kind": "radial_n2", "index": 1.6}, r"gradient.coefficients: missing"),
         (ROD | {"coefficients": []}, r"coefficients = \[\]: must not be empty"),
-        (ROD | {"index": 0.9}, r"gradient.index = 0.9: must be 1 or more"),
+        (ROD | {"index": 0.0}, r"gradient.index = 0.0: must be above 0"),
         (ROD | {"dispersion": {}}, r"gradient.dispersion: unknown key"),
         ({"kind": "xyz", "index": 1.6}, r"gradient.x_coefficients: missing: give the coefficients of x, y or z"),
         (

@@ -18,6 +18,7 @@ DARK = {"bounds": BOX, "position_mm": [0.0, 0.0, -150.0]}
         {"index": 1.0003},
         {"index": 0.9999},
         {"index": LENS},
+        {"index": LENS | {"index": 0.9998}},
         {"density_kg_m3": 1.1},
         {"density_kg_m3": 0.0},
         {"density_kg_m3": 0.16, "gladstone_dale_m3_kg": 1.96e-4},

@@ -114,7 +114,7 @@ class Camera:
             if surface.section_key is not None:
                 raise LfmeshError(
                     f"camera.lens.surfaces[{i}].{surface.section_key}: the truth that errors are measured against has "
-                    "surfaces of revolution only"
+                    f"{lens.kinds_followed(i)}"
                 )
             after = index_behind(media[i + 1], wavelength_nm, z)
             order = only_order(surface.phase, wavelength_nm, media[i], media[i + 1], f"camera.lens.surfaces[{i}].phase")

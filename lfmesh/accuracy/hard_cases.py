@@ -159,6 +159,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     lenses.odd_powers,
     lenses.deep_toroid,
     lenses.steep_saddles,
+    lenses.both_sides_of_a_kink,
     lenses.two_roots,
     lenses.hyperboloid,
     lenses.oblate,

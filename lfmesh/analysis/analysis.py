@@ -308,10 +308,10 @@ def analyse(
     camera = solved_camera(scene)
     facts = camera.report
     if (number := camera.scene.camera.lens.number_off_revolution) is not None:
-        key = camera.scene.camera.lens.surfaces[number].asymmetric_key
+        lens = camera.scene.camera.lens
+        key, followed = lens.surfaces[number].asymmetric_key, lens.kinds_followed(number)
         raise LfmeshError(
-            f"camera.lens.surfaces[{number}].{key}: the lens sheet is for surfaces of revolution only, whose fields "
-            "lie along one line; trace rays or render instead"
+            f"camera.lens.surfaces[{number}].{key}: the lens sheet is for {followed}. Trace rays or render instead"
         )
     object_mm = facts.object_distance_mm if object_mm is None else float(object_mm)
     waves = wavelengths_of(scene, wavelengths_nm)

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import SolvedCamera
+from lfmesh.scene import Scene
+from lfmesh.scene.camera.phase import ZonedPhase
 from lfmesh.scene.literals import plain
 from lfmesh.transport.world import World
 from lfmesh.waves.bundle import PARALLEL, Bundle, LensRays, nearest_to_all, pupil_grid
@@ -251,9 +253,12 @@ def waves_of_field(
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     coefficients, misfit = _fitted((seen - middle) / half, columns)
     if misfit > REFUSED:
+        zone = _first_zone(camera.scene)
+        cause = "is too aberrated" if zone is None else f"has the kink or step of {zone[0]} at {zone[1]:g} mm"
+        remedy = "a smaller stop" if zone is None else "a stop that keeps light inside, or use lf.wavefront or rays"
         raise LfmeshError(
-            f"the wavefront behind the lens is too aberrated: polynomials of degree {DEGREES[-1]} leave a residual "
-            f"of {plain(misfit, 2)} waves, above the limit of {REFUSED:g}; give a smaller stop"
+            f"the wavefront behind the lens {cause}: polynomials of degree {DEGREES[-1]} leave a residual "
+            f"of {plain(misfit, 2)} waves, above the limit of {REFUSED:g}; give {remedy}"
         )
     return PupilWaves(
         wavelength, middle, half, focus, radius, (traced.position, direction), traced.index_behind, coefficients, misfit
@@ -323,6 +328,18 @@ def _radius(camera: SolvedCamera, focus: Array, direction: Array) -> float:
 def _equal_areas(direction: Array) -> Array:
     """Return coordinates (n, 2) of unit directions (n, 3) with areas equal to solid angles (J. H. Lambert, 1772)."""
     return direction[:, :2] * np.sqrt(2.0 / (1.0 + direction[:, 2:]))
+
+
+def _first_zone(scene: Scene) -> tuple[str, float] | None:
+    """Return the path and the border, mm, of the first zone of a lens, or None without zones."""
+    for number, surface in enumerate(scene.camera.lens.surfaces):
+        where = f"camera.lens.surfaces[{number}]"
+        if surface.outer_zone is not None:
+            return f"{where}.outer_zone", surface.outer_zone.border_mm
+        borders = [each.border_mm for each in surface.phase.zones] if isinstance(surface.phase, ZonedPhase) else []
+        if borders and borders[0] is not None:
+            return f"{where}.phase.zones", borders[0]
+    return None
 
 
 def _fitted(points: Array, columns: Array) -> tuple[Array, float]:

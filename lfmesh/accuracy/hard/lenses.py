@@ -18,6 +18,8 @@ from lfmesh.accuracy.hard.outcome import (
 )
 from lfmesh.accuracy.hard.truth import Array, at_plane, through
 from lfmesh.scene import Surface
+from lfmesh.scene.camera.outer_zone import OuterZone
+from lfmesh.scene.camera.phase import PhaseZone, ZonedPhase
 from lfmesh.scene.camera.sections import Biconic, Toroid
 from lfmesh.transport.build import build
 from lfmesh.transport.trace import Status, trace
@@ -262,6 +264,34 @@ def steep_saddles() -> Outcome:
     ]
     o, d = _bundle(5000, 5.99, 0.6)
     return through_lens(lens_scene(surfaces, distance=12.0, sensor_mm=100.0), o, d, 1e-10, relative=1e-10)
+
+
+@case
+def both_sides_of_a_kink() -> Outcome:
+    """Meet a valley and a ridge between zones from 0.1 to 1e-11 mm beside their borders, where a phase changes too."""
+    border, count = 3.0, 4000
+    phase = ZonedPhase(
+        zones=(
+            PhaseZone(border_mm=border, coefficients_rad=(-300.0,), radius_mm=border),
+            PhaseZone(coefficients_rad=(500.0,), radius_mm=border, offset_rad=40.0),
+        )
+    )
+    surfaces = [
+        Surface(
+            radius_mm=12.0, outer_zone=OuterZone(border_mm=border, radius_mm=8.0, conic=-0.5, asphere_mm=(1e-4,)),
+            phase=phase, thickness_mm=5.0, index=1.5, semi_diameter_mm=5.0, stop=True,
+        ),
+        Surface(
+            radius_mm=-14.0, outer_zone=OuterZone(border_mm=2.0, radius_mm=-60.0), semi_diameter_mm=8.0,
+        ),
+    ]  # fmt: skip
+    scene = lens_scene(surfaces, distance=8.0, sensor_mm=60.0)
+    draw = np.random.default_rng(12)
+    r = border + draw.choice([-1.0, 1.0], count) * 10.0 ** draw.uniform(-11.0, -1.0, count)
+    phi, d = draw.uniform(0.0, 2.0 * np.pi, count), tilted(count, 0.2)
+    x, y = r * np.cos(phi), r * np.sin(phi)
+    o = np.column_stack([x, y, faces_of(scene)[0].height(x, y)]) - 4.0 * d
+    return through_lens(scene, o, d, 1e-10, relative=1e-9)
 
 
 @case

@@ -124,7 +124,7 @@ def faces_of(scene: Scene) -> list[Interface]:
         Interface(
             s.vertex_radius_mm, z, index_behind(media[k + 1], nm, z), s.vertex_conic, s.terms_mm,
             1.01 * (s.semi_diameter_mm or 10.0), s.focal_length_mm or np.inf, s.odd_asphere_mm, _across(s),
-            only_order(s.phase, nm, media[k], media[k + 1], f"camera.lens.surfaces[{k}].phase"),
+            only_order(s.phase, nm, media[k], media[k + 1], f"camera.lens.surfaces[{k}].phase"), _zone(s),
         )
         for k, (s, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True))
         if not lens.is_pure_stop(k)
@@ -137,9 +137,17 @@ def _across(surface: Surface) -> tuple[str, float, float] | None:
         return "biconic", surface.biconic.radius_x_mm, surface.biconic.conic_x
     if surface.toroid is not None:
         return "toroid", surface.toroid.radius_x_mm, 0.0
-    if surface.form is not None:
+    if surface.form is not None and surface.outer_zone is None:
         raise NotImplementedError(f"{surface.section_key}: `hard.truth` has no such surface")
     return None
+
+
+def _zone(surface: Surface) -> tuple[float, Interface] | None:
+    """Return the outer zone of a surface in the format of the truth."""
+    zone = surface.outer_zone
+    if zone is None:
+        return None
+    return zone.border_mm, Interface(zone.radius_mm, 0.0, conic=zone.conic, asphere=zone.asphere_mm)
 
 
 def disk(radius: float, count: int, seed: int = 0) -> Array:

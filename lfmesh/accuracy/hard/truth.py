@@ -47,11 +47,13 @@ class Interface:
     """"biconic" or "toroid", radius and conic constant in x; `radius` and `conic` are then for y."""
     order: DiffractionOrder | None = None
     """Order of the surface's phase."""
+    zone: tuple[float, "Interface"] | None = None
+    """Border of an outer zone, mm, and the shape of the zone, which continues the inner one without a step."""
 
     @property
     def is_conic(self) -> bool:
         """True if rays meet the surface by a quadratic equation."""
-        return not self.asphere and not self.odd and self.across is None
+        return not self.asphere and not self.odd and self.across is None and self.zone is None
 
     @property
     def curvature(self) -> float:
@@ -68,6 +70,10 @@ class Interface:
 
     def height(self, x: Array, y: Array) -> Array:
         """Return the height above the vertex at points of one shape, which may be complex."""
+        if self.zone is not None:
+            border, outer = self.zone
+            r2, at = x * x + y * y, np.array(border * border)
+            return np.where(np.real(r2) > at, outer.sag(r2) + self.sag(at) - outer.sag(at), self.sag(r2))
         if self.across is None:
             return self.sag(x * x + y * y)
         kind, radius, conic = self.across
@@ -88,7 +94,7 @@ class Interface:
         r2 = x * x + y * y
         if self.is_conic:
             n = np.stack([-c * x, -c * y, 1.0 - c * q * z], axis=1)
-        elif self.odd or self.across is not None:
+        elif self.odd or self.across is not None or self.zone is not None:
             by_x = np.imag(self.height(x + 1j * STEP, y + 0j)) / STEP
             by_y = np.imag(self.height(x + 0j, y + 1j * STEP)) / STEP
             n = np.stack([-by_x, -by_y, np.ones_like(x)], axis=1)

@@ -314,6 +314,23 @@ class Lens(Model):
         """True if there is gradient-index glass between some surfaces."""
         return any(surface.gradient is not None for surface in self.surfaces)
 
+    def kinds_followed(self, number: int) -> str:
+        """Return in words the surfaces that a method takes which refuses surface `number`, and what to do with that.
+
+        Parameters
+        ----------
+        number : int
+            Of a surface with an `asymmetric_key`.
+
+        Returns
+        -------
+        str
+        """
+        zone = self.surfaces[number].outer_zone
+        if zone is None or self.surfaces[number].asymmetric_key != "outer_zone":
+            return "surfaces of revolution only"
+        return f"surfaces of one formula only, without a kink at border_mm = {zone.border_mm:g}; omit outer_zone"
+
     @property
     def number_off_revolution(self) -> int | None:
         """Number of the first surface without rotational symmetry, or None."""

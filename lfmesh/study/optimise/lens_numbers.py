@@ -205,14 +205,13 @@ def layout_of(scene: Scene, waves_nm: tuple[float, ...], object_mm: float | None
     if lens.has_meshes:
         raise LfmeshError("the lens has surfaces that are meshes: terms of rays need surfaces with formulas")
     if (number := lens.number_off_revolution) is not None:
-        key = lens.surfaces[number].asymmetric_key
-        raise LfmeshError(
-            f"camera.lens.surfaces[{number}].{key}: terms of rays need surfaces of revolution, as the lens sheet does"
-        )
+        key, followed = lens.surfaces[number].asymmetric_key, lens.kinds_followed(number)
+        raise LfmeshError(f"camera.lens.surfaces[{number}].{key}: terms of rays are for {followed}")
     for i, surface in enumerate(lens.surfaces):
         if isinstance(surface.phase, ZonedPhase):
             raise LfmeshError(
-                f'camera.lens.surfaces[{i}].phase.kind = "zones": terms of rays need one formula for the whole phase'
+                f'camera.lens.surfaces[{i}].phase.kind = "zones": terms of rays are for phases of one formula only; '
+                "give another kind"
             )
     refuse_several_orders(lens_phases(scene))
     stop, phases = lens.stop_index or 0, tuple(phase_terms(surface).counts for surface in lens.surfaces)

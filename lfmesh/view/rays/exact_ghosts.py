@@ -211,8 +211,8 @@ def refusal(world: World, points_mm: ArrayLike) -> str | None:
     if scene.transport.polarisation:
         return "transport.polarisation = true: sequences are followed without polarisation"
     if (number := scene.camera.lens.number_off_revolution) is not None:
-        key = scene.camera.lens.surfaces[number].asymmetric_key
-        return f"camera.lens.surfaces[{number}].{key}: sequences are followed through surfaces of revolution only"
+        key, followed = scene.camera.lens.surfaces[number].asymmetric_key, scene.camera.lens.kinds_followed(number)
+        return f"camera.lens.surfaces[{number}].{key}: sequences are followed through {followed}"
     for name in ("media", "particles", "tanks"):
         if getattr(scene, name):
             return f"{name} stand between field points and lens; sequences are not followed through them"

@@ -271,6 +271,8 @@ def _media(prescription: Prescription, report: Report, glasses: Mapping[str, str
         try:
             if surface.gradient is not None:
                 medium = _gradient(surface, prescription.unit_mm)
+                # Refused with its line if glass cannot have the index.
+                refractive_index(medium, prescription.primary_nm)
             elif surface.glass is not None and surface.glass in glasses:
                 given = glasses[surface.glass]
                 medium = given if isinstance(given, str) else float(given)

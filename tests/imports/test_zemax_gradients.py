@@ -188,7 +188,7 @@ def test_every_surface_of_a_gradient_stays():
         ("GRINSUR1", [*parameters(2, 1.5), "GLAS MIRROR"], "GLAS MIRROR", "mirrors are not supported"),
         ("GRINSUR1", parameters(2, 1.5, 1e300), "PARM 3 1e+300", "must be 1e+15 or less in magnitude"),
         ("GRINSUR1", ["PARM 2 1.5", "PARM 3 nan"], "PARM 3 nan", "'nan' is not finite"),
-        ("GRINSUR1", parameters(2, 0.5, -0.08), "SURF 1", "must be 1 or more"),
+        ("GRINSUR1", parameters(2, 0.5, -0.08), "SURF 1", "between 1 and 10"),
         ("GRINSUR3", parameters(2, 1.6, 0.0, 0.0, 0.0, -9.0), "SURF 1", "between 1 and 10"),
         ("GRINSUR2", parameters(2, -2.0, 0.1), "PARM 2 -2.0", "n² on the axis must be above 0"),
         ("GRINSUR5", ["PARM 2 1.5", "PARM 9 0.1"], "PARM 9 0.1", "a surface with a tilt term is not supported"),

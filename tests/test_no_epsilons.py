@@ -81,6 +81,7 @@ DIMENSIONLESS = {
     "transport/tables/lens.py": {"STEEPER"},
     "transport/tables/motion_tables.py": {"ROOM"},
     "transport/tables/particles.py": {"UM2"},
+    "transport/tables/motion_tables.py": {"ROOM"},
     "transport/tables/volumes.py": {"COLDEST_K", "ROUNDING"},
     "transport/refused_fields.py": {"PARALLEL", "ROUNDING"},
     "transport/refused_glass.py": {"JUST_BESIDE"},

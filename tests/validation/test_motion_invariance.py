@@ -18,6 +18,7 @@ from tests.instances import instances
 from tests.renders import by_seed, unchecked
 from tests.validation.motion_scenes import (
     DURATION_S,
+    Array,
     Tables,
     assert_same,
     exposure,
@@ -32,6 +33,7 @@ PAINTED: Tables = {"reflectance": 0.8, "texture": "chart.png"}
 CHART: Tables = {
     "shape": {"kind": "plane", "width_mm": 7.0, "height_mm": 6.0}, "position_mm": (0.0, 0.0, -60.0), "material": PAINTED
 }  # fmt: skip
+GLOWING: Tables = CHART | {"material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0, "texture": "chart.png"}}
 BOX: Tables = {
     "shape": {"kind": "box", "size_mm": (1.2, 1.0, 1.5)}, "position_mm": (0.8, -0.6, -57.0),
     "rotation_deg": (20.0, 10.0, 30.0), "material": {"reflectance": 0.5},
@@ -174,8 +176,11 @@ EVEN: Tables = {
 NOTHING: dict[str, tuple[list[Tables], list[Tables], dict[str, Any], dict[str, Any]]] = {
     # Targets in motion and at rest, other tables in motion, settings.
     "a ball that spins": ([CHART, BALL | SPIN], [CHART, BALL], {}, {}),
-    "a ball of glass that spins": ([CHART, LENS_BALL | SPIN], [CHART, LENS_BALL], {}, {"samples": 256}),
-    "a window that glides along itself": ([CHART, GLASS | GLIDES], [CHART, GLASS], {}, {"samples": 256}),
+    "a ball of glass that spins": ([CHART, LENS_BALL | SPIN], [CHART, LENS_BALL], {}, {"samples": 96}),
+    # In front of a chart that shines: light of the lamp that passes its edge would change.
+    "a window that glides along itself": (
+        [GLOWING, GLASS | GLIDES], [GLOWING, GLASS], {"lights": []}, {"samples": 256}
+    ),
     "a body far away": ([CHART, BOX, FAR], [CHART, BOX], {}, {}),
     "a fog that spins": ([CHART], [CHART], {"media": [FOG | SPIN]}, {"samples": 128}),
     "motions without a path": (
@@ -223,10 +228,14 @@ def test_rays_that_are_traced_see_the_scene_at_the_begin(folder: Path) -> None:
     draw = np.random.default_rng(4)
     origins = np.column_stack([draw.uniform(-2.0, 2.0, (500, 2)), np.full(500, -2.0)])
     directions = np.column_stack([draw.uniform(-0.08, 0.08, (500, 2)), np.full(500, -1.0)])
-    one, other = (lf.trace(lf.build(scene), origins, directions) for scene in (moving, resting))
-    np.testing.assert_array_equal(one.status, other.status)
-    np.testing.assert_allclose(one.position, other.position, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(one.weight, other.weight, rtol=1e-12)
+    one, other = (sorted_ends(lf.trace(lf.build(scene), origins, directions)) for scene in (moving, resting))
+    np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+
+
+def sorted_ends(paths: lf.Paths) -> Array:
+    """Return source, status, weight and place of the ends of all packets, in an order of their own, (n, 6)."""
+    ends = np.column_stack([paths.source, paths.status, paths.weight, paths.position])
+    return np.asarray(ends[np.lexsort(np.round(ends, 6).T)])
 
 
 # A turning target

@@ -79,7 +79,6 @@ DIMENSIONLESS = {
     "transport/tables/emitter_tree.py": {"MARGIN"},
     "transport/tables/lamp_tree.py": {"GRAIN", "MARGIN"},
     "transport/tables/lens.py": {"STEEPER"},
-    "transport/tables/motion_tables.py": {"ROOM"},
     "transport/tables/particles.py": {"UM2"},
     "transport/tables/motion_tables.py": {"ROOM"},
     "transport/tables/volumes.py": {"COLDEST_K", "ROUNDING"},

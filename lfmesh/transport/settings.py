@@ -26,16 +26,14 @@ from lfmesh.transport.packets.packet import (
     Thinning,
 )
 from lfmesh.transport.paths.automaton import EVERY
-from lfmesh.transport.tables.swept import pose_of_mover
+from lfmesh.transport.tables.motions import STILL
+from lfmesh.transport.tables.swept import path_of_camera
 from lfmesh.transport.world import World
 
 NEAR_LENS = 10.0
 """Distance of a target from the lens, in radii of its widest surface, below which light may return to the target. It
 makes a white sheet in front of an uncoated singlet 5.2 % brighter at half a radius, 0.25 % at four radii, and less
 than 0.05 % at ten."""
-
-TIMES = 17
-"""Number of times at which the distance of a target that moves from the lens is taken."""
 
 BENT_BACK = 1e-2
 """Deflection by media, rad, above which light may return to a flat target: the square is its largest share."""
@@ -105,18 +103,16 @@ def _faces(world: World) -> int:
 
 
 def _is_near_lens(world: World) -> bool:
-    """Tell whether a target is so near that the lens reflects some of its light back onto it."""
+    """Tell whether a target may come so near that the lens reflects some of its light back onto it."""
     moves, motions = world.tables.frames, world.tables.motions
-    (eye,) = frame.points(moves[CAMERA_FRAME, WORLD_FRAME], np.zeros((1, 3)))
-    near = NEAR_LENS * max(world.lens_shape.rims)
-    if motions is None:
-        return any(body.distance_mm(eye) < near for body in world.targets)
-    for body, mover in zip(world.targets, motions.of_target, strict=False):
-        for time_s in np.linspace(0.0, motions.end_s, TIMES):
-            back = frame.inverse(pose_of_mover(motions, int(mover), float(time_s)))
-            way = frame.compose(frame.compose(moves[OBJECT_FRAME, WORLD_FRAME], back), moves[WORLD_FRAME, OBJECT_FRAME])
-            if body.distance_mm(frame.points(way, [eye])[0]) < near:
-                return True
+    (eye,) = frame.points(moves[CAMERA_FRAME, OBJECT_FRAME], np.zeros((1, 3)))
+    near, to_world = NEAR_LENS * max(world.lens_shape.rims), moves[OBJECT_FRAME, WORLD_FRAME]
+    for number, body in enumerate(world.targets):
+        mover = STILL if motions is None else int(motions.of_target[number])
+        # A still scene has one place of the lens and no reach.
+        places, reach = path_of_camera(motions, mover, eye, 0.5 * near)
+        if any(body.distance_mm(place) < near + reach for place in frame.points(to_world, places)):
+            return True
     return False
 
 

@@ -9,6 +9,9 @@ from lfmesh.transport.tables.motions import STILL, Motions
 
 Array = NDArray[np.float64]
 
+MOST_PIECES = 256
+"""Largest number of places on one chord of a path; a longer piece makes the distance larger."""
+
 
 def swept(motions: Motions | None, mover: int, points: Array) -> tuple[Array, float]:
     """Return places of points of a mover during the exposure, relative to the camera, and the margin of `sweep`.
@@ -32,6 +35,39 @@ def swept(motions: Motions | None, mover: int, points: Array) -> tuple[Array, fl
     camera, own = (motions.segments[motions.first[each] : motions.first[each + 1]] for each in (STILL, mover))
     places, margin = sweep(own, points, 0.0, motions.end_s, camera if motions.camera_moves else None)
     return places.reshape(-1, 3), margin
+
+
+def path_of_camera(motions: Motions | None, mover: int, point: Array, length_mm: float) -> tuple[Array, float]:
+    """Return places of a point of the camera during the exposure, relative to a mover, and a distance.
+
+    The point is never farther than the distance from all of the places.
+
+    Parameters
+    ----------
+    motions : Motions or None
+        None: nothing moves.
+    mover : int
+    point : (3,) float64, mm
+        Object frame.
+    length_mm : float
+        Length of a piece of the path with one place.
+
+    Returns
+    -------
+    places : (n, 3) float64, mm
+        In the frame of the mover.
+    distance_mm : float
+    """
+    if motions is None or mover == STILL:
+        return point[None], 0.0
+    camera, own = (motions.segments[motions.first[each] : motions.first[each + 1]] for each in (STILL, mover))
+    places, margin = sweep(camera, point[None], 0.0, motions.end_s, own)
+    corners = places[:, 0]
+    longest = float(np.linalg.norm(np.diff(corners, axis=0), axis=1).max())
+    pieces = min(max(int(np.ceil(longest / length_mm)), 1), MOST_PIECES)
+    shares = (np.arange(pieces) + 0.5) / pieces
+    middles = corners[:-1, None] + shares[:, None] * np.diff(corners, axis=0)[:, None]
+    return middles.reshape(-1, 3), 0.5 * longest / pieces + margin
 
 
 def reach_mm(motions: Motions | None, mover: int, points: Array) -> float:

@@ -9,7 +9,7 @@ import lfmesh as lf
 from lfmesh.geometry import frame
 from lfmesh.transport.packets.packet import MOST_MOVERS, OBJECT_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.motions import Motions
-from lfmesh.transport.tables.swept import pose_of_mover, reach_mm
+from lfmesh.transport.tables.swept import path_of_camera, pose_of_mover, reach_mm
 from lfmesh.transport.world import World
 
 FORTH = {"velocity_mm_s": [10.0, 0.0, 5.0], "spin_deg_s": [0.0, 30.0, 60.0], "center_mm": [1.0, 2.0, -90.0]}
@@ -89,6 +89,16 @@ def test_spheres_hold_everything_throughout() -> None:
         places = frame.points(pose_of_mover(table, 1, float(time)), corners)
         assert np.linalg.norm(places, axis=1).max() <= reach_mm(table, 1, corners) * (1.0 + 1e-12)
         assert np.linalg.norm(places, axis=1).max() <= objects.lit_radius * (1.0 + 1e-12)
+
+
+def test_the_path_of_the_lens_past_a_body_is_known_to_its_distance() -> None:
+    table = motions(built([plane(3.0, BACK | {"spin_deg_s": [0.0, 900.0, 0.0]})], FORTH))
+    lens = np.array([0.0, 0.0, 50.0])
+    places, distance = path_of_camera(table, 1, lens, 2.0)
+    assert 0.0 < distance < 2.0
+    for time in np.linspace(0.0, 0.1, 101):
+        (place,) = frame.points(frame.inverse(pose_of_mover(table, 1, float(time))), lens[None])
+        assert np.linalg.norm(places - place, axis=1).min() <= distance * (1.0 + 1e-12)
 
 
 def test_more_motions_than_packets_can_tell_apart_are_refused() -> None:

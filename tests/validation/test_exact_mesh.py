@@ -74,7 +74,8 @@ def test_the_main_lobe_has_the_flux_of_the_analytic_lens(name, field_deg):
     world, truth = lf.build(scene), Camera.of(scene, 587.6)
     report = lf.first_order(scene)
     draw = np.random.default_rng(5)
-    count = 40_000
+    # The truth integrates rays through gradients, which takes long.
+    count = 8_000 if any(True for _ in scene.gradients()) else 40_000
     r = 0.5 * report.entrance_pupil_diameter_mm * np.sqrt(draw.uniform(size=count))
     phi = draw.uniform(0.0, 2.0 * np.pi, count)
     pupil = np.column_stack([r * np.cos(phi), r * np.sin(phi), np.full(count, report.entrance_pupil_z_mm)])

@@ -111,7 +111,9 @@ def test_a_searchlight_lights_a_wall_while_its_cone_is_there(
     offset = np.concatenate([at, np.full((*at.shape[:-1], 1), -FOCUS_MM)], axis=-1) - BESIDE
     distance = np.linalg.norm(offset, axis=-1)
     times = DURATION_S * (np.arange(20_000) + 0.5) / 20_000
-    axis = Rotation.from_rotvec(np.deg2rad(np.multiply.outer(times, spin))).apply(first / np.linalg.norm(first))
+    axis = Rotation.from_rotvec(np.deg2rad(np.multiply.outer(times, spin))).apply(
+        np.array(first) / np.linalg.norm(first)
+    )
     shares = np.array([
         (axis @ unit > np.cos(np.deg2rad(HALF_DEG))).mean() for unit in (offset / distance[..., None]).reshape(-1, 3)
     ]).reshape(distance.shape)  # fmt: skip

@@ -53,13 +53,23 @@ SIGNIFICANT = 8.0
 """Gain over its standard error from which on a window shows a common pattern: the best of many shifts of mere noise
 reaches 4, and a few more for the deformation."""
 
+NEIGHBOURS = 5
+"""Smallest number of known neighbours, out of eight, with which a window is compared."""
+
+OUTLYING, FLOOR_PX = 2.0, 0.1
+"""A shift outlies if it is off the median of its neighbours by twice their own distance from it, a tenth of a sample,
+and `SIGMAS` of its standard errors: a test of J. Westerweel and F. Scarano (Exp. Fluids 39, 1096, 2005), with the second
+largest distance of a neighbour in place of the median one, so that crests between coarse windows are kept."""
+
+SIGMAS = 4.0
+
 MOST_STEPS = 40
 SETTLED = 1e-6
 """Steps of Gauss and Newton's method, and the last one, in samples, at which it ends."""
 
 
 class Displacement(NamedTuple):
-    """Displacements in windows; NaN if the windows show no common pattern.
+    """Displacements in windows; NaN if the windows show no common pattern, or another one than all windows beside.
 
     Attributes
     ----------
@@ -123,7 +133,23 @@ def displacements(
     shift, error = np.full((2, len(rows), len(columns), 2), np.nan)
     misfit = np.full(shift.shape[:2], np.nan)
     _measure(_smoothed(pictures, errors), _window(window // 2, reach), rows, columns, shift, error, misfit)
+    false = _outlying(shift, error)
+    shift[false], error[false], misfit[false] = np.nan, np.nan, np.nan
     return Displacement(shift, error, misfit)
+
+
+def _outlying(shift: Array, error: Array) -> Mask:
+    """Return a mask of windows with a shift unlike those of their neighbours, (rows, columns): false matches."""
+    rows, columns = shift.shape[:2]
+    padded = np.pad(shift, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    beside = [(j, i) for j in range(3) for i in range(3) if (j, i) != (1, 1)]
+    around = np.stack([padded[j : j + rows, i : i + columns] for j, i in beside])
+    compared = np.isfinite(around[..., 0]).sum(axis=0) >= NEIGHBOURS
+    around = np.where(compared[..., None], around, 0.0)
+    middle = np.nanmedian(around, axis=0)
+    spread = np.sort(np.nan_to_num(np.abs(around - middle)), axis=0)[-2]
+    off = np.abs(shift - middle) > OUTLYING * (spread + FLOOR_PX) + SIGMAS * error
+    return np.asarray(compared & off.any(axis=-1))
 
 
 def window_centres(length: int, window: int, step: int) -> NDArray[np.int64]:

@@ -45,7 +45,7 @@ class Schlieren(Pictured):
     """Displacements of a background and the deflections of light that explain them, in windows of upright pictures.
 
     Components are along +x (to the right) and +y (up). Arrays have the axes (rows, columns, component) and, of a light
-    field, (v, u) before them. NaN where a window shows no common pattern.
+    field, (v, u) before them. NaN where a window shows no common pattern, or a false match.
 
     Attributes
     ----------

@@ -107,6 +107,20 @@ def test_pictures_of_noise_alone_are_unknown(window: int) -> None:
     assert np.isnan(found.error).all()
 
 
+def test_a_window_unlike_all_windows_beside_is_unknown() -> None:
+    """A false match, as between like dots: a part of the pattern that is found three samples away in one window."""
+    run, row = REFERENCE.copy(), window_centres(SIZE, WINDOW, APART)[2]
+    near = slice(row - WINDOW // 2 - MARGIN, row + WINDOW // 2 + MARGIN + 1)
+    run[near, near] = np.roll(REFERENCE, 3, axis=1)[near, near]
+    found = measured(run, 1e-3)
+    assert np.argwhere(np.isnan(found.shift[..., 0])).tolist() == [[2, 2]]
+    # Where half of the picture moves by as much, the windows agree.
+    run[: SIZE // 2] = np.roll(REFERENCE, 3, axis=1)[: SIZE // 2]
+    run[SIZE // 2 :] = REFERENCE[SIZE // 2 :]
+    upper = measured(run, 1e-3).shift[0, 1:-1]
+    np.testing.assert_allclose(upper, [[-3.0, 0.0]] * len(upper), atol=0.02)
+
+
 def test_unknown_samples_spoil_no_others() -> None:
     """Windows that hold many of them are unknown; others differ by less than their errors."""
     run = dots(linear)

@@ -24,7 +24,7 @@ class Exposure(Model):
 
     duration_s: Positive
     """Time for which each row of pixels collects light, in s. The window of the first row starts at t = 0."""
-    shutter: Annotated[tuple[Opening, ...], Field(max_length=MOST_TIMES)] = ()
+    shutter: Annotated[tuple[Opening, ...], Field(max_length=MOST_TIMES)] | None = None
     """Opening of the shutter, 0..1, at times from the start of a row's window: [[time_s, open], ...], linear between.
     The times increase from 0 to `duration_s`. Omitted: open throughout."""
     row_time_s: NonNegative = 0.0
@@ -34,9 +34,9 @@ class Exposure(Model):
 
     def faults(self) -> Iterator[Fault]:
         """Yield times of the shutter that do not run through the window, and a shutter that stays closed."""
-        if not self.shutter:
+        if self.shutter is None:
             return
-        times, opening = np.array(self.shutter).T
+        times, opening = np.array(self.shutter).reshape(-1, 2).T
         if len(times) < 2 or times[0] != 0.0 or times[-1] != self.duration_s:
             why = f"its times must run from 0 to duration_s = {self.duration_s:g}, so as to cover the window"
             yield Fault(("shutter",), [*times.tolist()], why)

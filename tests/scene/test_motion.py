@@ -51,6 +51,11 @@ def test_windows_of_a_rolling_shutter_follow_the_upright_picture() -> None:
     assert not Exposure(duration_s=0.01).windows(4)[0].any()
 
 
+def test_a_shutter_can_be_omitted_again() -> None:
+    curved = scene({"duration_s": 0.1, "shutter": [[0.0, 0.0], [0.1, 1.0]]})
+    assert curved.changed({"exposure.shutter": None}).exposure == Exposure(duration_s=0.1)
+
+
 def test_the_shutter_is_open_for_the_integral_of_its_curve() -> None:
     assert Exposure(duration_s=0.3).open_s == 0.3
     table = Exposure(duration_s=0.4, shutter=((0.0, 0.0), (0.1, 1.0), (0.3, 0.5), (0.4, 0.0))).shutter_table()
@@ -65,6 +70,7 @@ def test_the_shutter_is_open_for_the_integral_of_its_curve() -> None:
         ({"duration_s": float("inf")}, "exposure.duration_s"),
         ({"duration_s": 0.1, "row_time_s": -1e-5}, "exposure.row_time_s = -1e-05: must be 0 or more"),
         ({"duration_s": 0.1, "row_direction": "left"}, "exposure.row_direction"),
+        ({"duration_s": 0.1, "shutter": []}, "must run from 0 to duration_s = 0.1"),
         ({"duration_s": 0.1, "shutter": [[0.0, 1.0]]}, "must run from 0 to duration_s = 0.1"),
         ({"duration_s": 0.1, "shutter": [[0.0, 1.0], [0.2, 1.0]]}, "must run from 0 to duration_s = 0.1"),
         ({"duration_s": 0.1, "shutter": [[0.01, 1.0], [0.1, 1.0]]}, "must run from 0 to duration_s = 0.1"),

@@ -324,5 +324,13 @@ def _few_samples(image: "Image") -> Iterator[PictureWarning]:
         yield TooFewSamplesWarning(
             f"too few samples. In {percent(share)} of the lit pixels fewer than {FEW_HITS} samples found light, so "
             "their noise estimate is unreliable, and edges or light on rare paths may be missing. Use more than "
-            f"{image.samples:g} samples per pixel"
+            f"{image.samples:g} samples per pixel{_of_particles(image.scene)}"
         )
+
+
+def _of_particles(scene: Scene) -> str:
+    """Return what else decides on the samples of a scene with particles, or ""."""
+    if not scene.particles:
+        return ""
+    least = min(group.samples for group in scene.particles)
+    return f", or for the light of particles more packets than particles[].samples = {least}"

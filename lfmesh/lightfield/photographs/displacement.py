@@ -58,8 +58,8 @@ NEIGHBOURS = 5
 
 OUTLYING, FLOOR_PX = 2.0, 0.1
 """A shift outlies if it is off the median of its neighbours by twice their own distance from it, a tenth of a sample,
-and `SIGMAS` of its standard errors. The test is that of J. Westerweel and F. Scarano (Exp. Fluids 39, 1096, 2005) with
-the second largest distance of a neighbour in place of the median one, so that crests between coarse windows are kept."""
+and `SIGMAS` of its standard errors. The test is that of J. Westerweel and F. Scarano (Exp. Fluids 39, 1096, 2005), with
+the second largest distance of a neighbour in place of the median one, which keeps crests between coarse windows."""
 
 SIGMAS = 4.0
 

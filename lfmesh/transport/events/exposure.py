@@ -22,7 +22,8 @@ def drawn_time(motions: Motions, options: Options, packet: Any) -> float:
     """Return the time of a packet, s.
 
     A packet from a pixel has a random time in the window of its row, by the opening of the shutter. A packet from a
-    light has a time for all rows, and packets whose numbers follow each other have times that spread evenly. Without random times, t = 0.
+    light has a time for all rows, and packets whose numbers follow each other have times that spread evenly. Without
+    random times, t = 0.
 
     Parameters
     ----------

@@ -1,10 +1,12 @@
 """Three cameras on one scene: what measures them is right, and they differ as optics say."""
 
+import io
 import json
 import math
 import re
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -101,13 +103,40 @@ def test_the_cameras_share_lens_sensor_and_samples() -> None:
     assert cameras[CONVENTIONAL].camera.mla is None
 
 
-@pytest.mark.filterwarnings("ignore:.*beyond the range")
-def test_each_camera_is_best_at_what_it_is_for() -> None:
+class Commanded(NamedTuple):
+    """What a run of `lfmesh compare` returns inside, writes and prints."""
+
+    result: comparing.Comparison
+    folder: Path
+    output: str
+    errors: str
+
+
+@pytest.fixture(scope="module")
+def commanded(tmp_path_factory: pytest.TempPathFactory) -> Commanded:
+    """The comparison of the camera before the chart and the lamp, by the command."""
+    folder = tmp_path_factory.mktemp("compare")
+    file, results = folder / "scene.toml", []
+    file.write_text(scene().changed({"targets": [*scene().targets, LAMP]}).dump_toml())
+
+    def kept(*arguments: Any, **settings: Any) -> comparing.Comparison:
+        results.append(compare(*arguments, **settings))
+        return results[-1]
+
+    output, errors = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(output), redirect_stderr(errors):
+        patch.setattr(comparing, "compare", kept)
+        assert main(["compare", str(file), "-o", str(folder / "out"), "--steps", "3", "--samples", "4"]) == 0
+    (result,) = results
+    return Commanded(result, folder / "out", output.getvalue(), errors.getvalue())
+
+
+def test_each_camera_is_best_at_what_it_is_for(commanded: Commanded) -> None:
     """Pixels go to resolution, to directions, or to some of both; sharpness over distances follows.
 
     And all of the pictures stand upright.
     """
-    result = compare(scene().changed({"targets": [*scene().targets, LAMP]}), steps=3)
+    result = commanded.result
     conventional, standard, focused = result.cameras
     for picture in result.pictures:
         # Sensor and array see 40 mm of the plane; +x is to the right and +y up.
@@ -131,23 +160,13 @@ def test_each_camera_is_best_at_what_it_is_for() -> None:
         assert camera.light_w_per_pixel == pytest.approx(conventional.light_w_per_pixel, rel=0.12)
 
 
-def test_the_command_writes_a_table_a_figure_and_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "scene.toml"
-    file.write_text(
-        "schema_version = 1\n"
-        f'camera.lens = {{ file = "{asset_path("lenses/double_gauss_50mm.toml").as_posix()}", '
-        "stop_semi_diameter_mm = 4.77 }\ncamera.focus_mm = 500.0\n"
-        "camera.mla = { count = [10, 10], pitch_mm = 0.125, focal_length_mm = 0.5, index = 1.5, thickness_mm = 0.3 }\n"
-        "camera.sensor = { pixels = [100, 100], pixel_mm = 0.0125 }\n"
-    )
-    out = tmp_path / "out"
-    assert main(["compare", str(file), "-o", str(out), "--steps", "3", "--samples", "8"]) == 0
-    said, told = capsys.readouterr()
+def test_the_command_writes_a_table_a_figure_and_numbers(commanded: Commanded) -> None:
+    out, said, told = commanded.folder, commanded.output, commanded.errors
     assert all(name in said for name in (CONVENTIONAL, STANDARD, FOCUSED, "MTF50", "refocus range"))
     numbers = json.loads((out / "comparison.json").read_text())
     assert [camera["name"] for camera in numbers["cameras"]] == [CONVENTIONAL, STANDARD, FOCUSED]
     assert numbers["cameras"][0]["edges"][0]["refocused"] is None
-    # Eight samples are few: each kind of warning is said once, with the number of pictures, and kept.
+    # Four samples are few: each kind of warning is said once, with the number of pictures, and kept.
     assert all(re.match(r"\d+ of 18 pictures, such as ", each["text"]) for each in numbers["warnings"])
     assert {each["kind"] for each in numbers["warnings"]} >= {"TooFewSamplesWarning"}
     assert told.count("Warning:") == len(numbers["warnings"])

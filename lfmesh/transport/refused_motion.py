@@ -128,14 +128,14 @@ def refuse_untraceable_motion(
     media = list(_media(scene, volumes, motions.media, moves, end_s))
     particles = list(_particles(scene, end_s))
     glass = [i for i, target in enumerate(scene.targets) if target.refractor is not None]
-    _refuse_moving_fields(scene, motions.camera is not None, motions.media)
+    _refuse_moving_fields(scene, motions.camera, motions.media)
     _refuse_other_motion_inside(scene, motions.media, motions.bodies)
     _refuse_glass_in_glass([(bodies[i], targets[i]) for i in glass])
     for i in glass:
         for other in (*(each for j, each in enumerate(bodies) if j not in glass or j > i), *lamps, *media, *particles):
             _refuse_contact(bodies[i], other, "nothing may pass through a surface of glass while pixels collect light")
         for field in fields:
-            box = _Thing(field.medium.name, still, end_s, partial(_box_facets, field.medium.corners_mm()))
+            box = _Thing(field.medium.name, camera_motion, end_s, partial(_box_facets, field.medium.corners_mm()))
             _refuse_contact(bodies[i], box, "glass must stay outside a medium that bends light")
     # A lamp between the first vertex and the plane of the rim may be in the first lens.
     for things, front in ((bodies, np.inf), (lamps, 0.0)):
@@ -193,13 +193,17 @@ def _refuse_glass_in_glass(glass: list[tuple[_Thing, TargetMesh]]) -> None:
                 )
 
 
-def _refuse_moving_fields(scene: Scene, camera_moves: bool, motions: Sequence[Segments | None]) -> None:
-    """Refuse media that bend light if they or the camera move."""
+def _refuse_moving_fields(scene: Scene, camera: Segments | None, motions: Sequence[Segments | None]) -> None:
+    """Refuse media that bend light if they move relative to the camera."""
     for i, (medium, motion) in enumerate(zip(scene.media, motions, strict=True)):
-        if bends(scene, medium) and (camera_moves or motion is not None):
+        own, its = (b"" if each is None else each.tobytes() for each in (motion, camera))
+        if bends(scene, medium) and own != its:
             key = f"media[{i}].motion" if motion is not None else "camera.motion"
             name = f"media[{i}]" + (f" ({medium.name})" if medium.name else "")
-            raise SceneError(f"{key}: {name} bends light, and must rest relative to the camera; omit the motion")
+            raise SceneError(
+                f"{key}: {name} bends light, and must rest relative to the camera; give both the same motion, about the "
+                "same center_mm, or none"
+            )
 
 
 def _refuse_other_motion_inside(

@@ -191,7 +191,8 @@ FIELD = {
 }
 
 
-def test_media_that_bend_light_rest_before_a_camera_at_rest() -> None:
+def test_media_that_bend_light_rest_relative_to_the_camera() -> None:
+    build(media=[FIELD | {"motion": going(10.0)}], camera=camera_without_array() | {"motion": going(10.0)})
     with pytest.raises(lf.SceneError, match=r"media\[0\]\.motion: media\[0\] \(plume\) bends light, and must rest"):
         build(media=[FIELD | {"motion": going(10.0)}])
     with pytest.raises(lf.SceneError, match=r"camera\.motion: media\[0\] \(plume\) bends light"):

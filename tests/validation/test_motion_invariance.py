@@ -152,6 +152,18 @@ def test_only_relative_motion_counts(folder: Path) -> None:
     assert_same(profiles(stack(one, SEEDS)), profiles(stack(other, OTHER_SEEDS)), 0.01)
 
 
+def test_a_field_may_fly_with_the_camera(folder: Path) -> None:
+    """Past a chart at rest, as a chart that flies past both."""
+    steady, against = ({"motion": {"velocity_mm_s": (sign * 90.0, -sign * 60.0, 0.0)}} for sign in (1.0, -1.0))
+    lens = {"kind": "radial_n2", "index": 1.0005, "coefficients": [-1e-5]}
+    field = {"bounds": {"kind": "box", "size_mm": [8.0, 8.0, 8.0]}, "position_mm": (0.0, 0.0, -30.0), "index": lens}
+    one = scene_of(folder, GLOWING | steady, media=[field], lights=[], exposure=exposure())
+    other = scene_of(
+        folder, GLOWING, media=[field | against], lights=[], exposure=exposure(), camera=close_up_camera() | against
+    )
+    assert_same(profiles(stack(one, SEEDS)), profiles(stack(other, OTHER_SEEDS)), 0.01)
+
+
 # Motions that show nothing
 
 BALL: Tables = {"shape": {"kind": "sphere", "radius_mm": 1.5}, "position_mm": (0.3, -0.2, -57.0)}

@@ -78,7 +78,9 @@ def refuse_other_white(white: Image, image: Image, camera: Camera) -> None:
             f"the white image has the shape {white.mean.shape} at {list(white.wavelengths_nm)} nm, the raw image "
             f"{image.mean.shape} at {list(image.wavelengths_nm)} nm; render the white image of the same scene"
         )
-    if solved_camera(white.scene).scene.camera != camera:
+    # The white image of a moving camera is of the camera at rest.
+    at_rest = {"motion": None}
+    if solved_camera(white.scene).scene.camera.model_copy(update=at_rest) != camera.model_copy(update=at_rest):
         raise LfmeshError("the white image is of another camera; render the white image of the same scene")
 
 

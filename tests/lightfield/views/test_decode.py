@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 import lfmesh as lf
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
+from lfmesh.lightfield.calibration.white import white_scene
 from lfmesh.lightfield.views.decode import decode
 from lfmesh.scene import Scene
 
@@ -169,6 +170,17 @@ def test_to_xarray_keeps_samples_axes_and_units(
     np.testing.assert_array_equal(data["u"].values, field.u_rad)
     assert data["s"].attrs["unit"] == "mm"
     assert data["data"].attrs["unit"] == "W per pixel"
+
+
+def test_a_moving_camera_has_the_white_image_of_the_camera_at_rest(
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
+) -> None:
+    still = camera()
+    moving = still.changed({"exposure": {"duration_s": 0.01}, "camera.motion": {"velocity_mm_s": [5.0, 0.0, 0.0]}})
+    picture = ramp(still, 1.0, 2.0)
+    white = image_of(white_scene(moving), np.full(picture.shape, 2.0))
+    found = decode(image_of(moving, picture), white=white)
+    np.testing.assert_array_equal(found.data, decode(image_of(still, picture), white=white).data)
 
 
 def test_faults_are_told_in_one_line(camera: Callable[..., Scene], image_of: Callable[..., lf.Image]) -> None:

@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from lfmesh.geometry import frame
 from lfmesh.kernels.decorators import kernel
@@ -63,6 +62,8 @@ def through_poses(times_s: ArrayLike, poses: Array) -> NDArray[np.void]:
     poses : (n, 3, 4) float64
         Frames of the body. With one pose, the body rests.
     """
+    from scipy.spatial.transform import Rotation
+
     times = np.asarray(times_s, np.float64)
     rows = np.zeros(max(len(times) - 1, 1), SEGMENT)
     rows["axis"] = 0.0, 0.0, 1.0

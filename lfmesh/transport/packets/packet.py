@@ -40,7 +40,7 @@ MOVING_FRAME = FRAMES - 1
 """A packet in the frame of mover g has `frame` = MOVING_FRAME + g, g from 1; see `tables.motions`."""
 
 MOST_MOVERS = 120
-"""Largest number of movers, by the size of `frame`."""
+"""Largest number of movers beside the one at rest relative to the camera, by the size of `frame`."""
 
 # Kinds of packet.
 CAMERA = 0  # on the camera's path: leaves the sensor (adjoint), or was aimed at the lens (forward)

@@ -98,7 +98,8 @@ def _numbered(movers: list[Records], motions: Sequence[Records | None]) -> Numbe
         if key not in known:
             known[key] = len(movers)
             movers.append(own)
-        if len(movers) > MOST_MOVERS:
+        # The first one stands still relative to the camera.
+        if len(movers) - 1 > MOST_MOVERS:
             raise SceneError(
                 f"motion: more than {MOST_MOVERS} things move differently relative to the camera; give some of them "
                 "the same motion, with the same center_mm"

@@ -102,6 +102,7 @@ def test_the_path_of_the_lens_past_a_body_is_known_to_its_distance() -> None:
 
 
 def test_more_motions_than_packets_can_tell_apart_are_refused() -> None:
-    many = [plane(float(i), {"velocity_mm_s": [float(i + 1), 0.0, 0.0]}) for i in range(MOST_MOVERS)]
+    many = [plane(float(i), {"velocity_mm_s": [float(i + 1), 0.0, 0.0]}) for i in range(MOST_MOVERS + 1)]
+    assert motions(built(many[:-1])).of_target.max() == MOST_MOVERS
     with pytest.raises(lf.SceneError, match=f"more than {MOST_MOVERS} things move differently"):
         built(many)

@@ -14,6 +14,8 @@ from lfmesh.scene.light.region import Region
 from lfmesh.scene.literals import plain
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, OBJECTS, WORLD_FRAME
 from lfmesh.transport.regions.first_met import first_met
+from lfmesh.transport.tables.motions import STILL
+from lfmesh.transport.tables.swept import swept
 from lfmesh.transport.world import World
 
 ENOUGH_ON_SPOT = 20.0
@@ -36,8 +38,7 @@ GRAIN = 2.0**-40
 def lamps_in_field(world: World) -> Iterator[PictureWarning]:
     """Warn of lamps in view of the camera: they are not imaged, and few paths find a flat lamp's light in fog."""
     scatters = any(medium.may_scatter for medium in world.scene.media)
-    found = (number for number in _near_field(world) if _is_seen(world, world.scene.lights[number].region))
-    for named, number in enumerate(found):
+    for named, (number, stands) in enumerate(_found_in_field(world)):
         light = world.scene.lights[number]
         if named == MOST_NAMED:
             yield MissedLightWarning(
@@ -46,7 +47,7 @@ def lamps_in_field(world: World) -> Iterator[PictureWarning]:
             )
             return
         yield MissedLightWarning(
-            f"lights[{number}] stands in the field, but lamps light the scene and are not seen themselves. To see it, "
+            f"lights[{number}] {stands} the field, but lamps light the scene and are not seen themselves. To see it, "
             "replace it by a target with radiance_w_m2_sr"
         )
         if scatters and light.region is not None and light.region.thickness_mm > 0.0:
@@ -57,11 +58,39 @@ def lamps_in_field(world: World) -> Iterator[PictureWarning]:
             )
 
 
+def _found_in_field(world: World) -> Iterator[tuple[int, str]]:
+    """Yield the numbers of lamps in the field, and whether they stand in it or pass through it."""
+    near, moving = set(_near_field(world)), set(_moving(world))
+    for number in sorted(near | moving):
+        if number in near and _is_seen(world, world.scene.lights[number].region):
+            yield number, "stands in"
+        elif number in moving and _passes(world, number):
+            yield number, "passes through"
+
+
 def _is_seen(world: World, region: Region | None) -> bool:
     """Tell whether a lamp stands in the field, not hidden by a target."""
     if region is None or not _in_field(world, _spine(world, region), region.thickness_mm):
         return False
     return not _hidden(world, region)
+
+
+def _moving(world: World) -> list[int]:
+    """Return the numbers of the lamps that move relative to the camera."""
+    motions = world.tables.motions
+    return [] if motions is None else np.flatnonzero(motions.of_lamp != STILL).tolist()
+
+
+def _passes(world: World, number: int) -> bool:
+    """Tell whether a moving lamp may come into the field during the exposure; targets may hide it there."""
+    region, tables = world.scene.lights[number].region, world.tables
+    if region is None or tables.motions is None:
+        return False
+    (place,) = frame.points(tables.frames[WORLD_FRAME, OBJECT_FRAME], [region.centre_mm])
+    places, margin = swept(tables.motions, int(tables.motions.of_lamp[number]), place[None])
+    path = frame.points(tables.frames[OBJECT_FRAME, CAMERA_FRAME], places)
+    beside = float(np.linalg.norm(region.spine_mm)) + region.thickness_mm + margin
+    return any(_in_field(world, np.stack(chord), beside) for chord in pairwise(path))
 
 
 def _near_field(world: World, beside: float = 0.0) -> list[int]:

@@ -43,6 +43,23 @@ def test_a_lamp_that_a_real_camera_would_see_is_named(given: lf.Scene, told: boo
     assert (lf.MissedLightWarning in kinds(given)) == told
 
 
+@pytest.mark.parametrize(
+    ("motion", "told"),
+    [
+        ({"velocity_mm_s": [-6000.0, 0.0, 0.0]}, True),
+        ({"velocity_mm_s": [-1000.0, 0.0, 0.0]}, False),
+        ({"velocity_mm_s": [-6000.0, 9000.0, 0.0]}, False),
+        ({"spin_deg_s": [0.0, 18000.0, 0.0], "center_mm": [0.0, 0.0, -95.0]}, True),
+    ],
+    ids=["across", "beside", "past", "in a circle"],
+)
+def test_a_lamp_that_passes_through_the_field_is_named(motion: dict[str, Any], told: bool) -> None:
+    """It begins and ends 30 mm beside the axis, or where the motion ends in a hundredth of a second."""
+    given = lit(30.0, 0.0, -80.0).changed({"exposure": {"duration_s": 0.01}, "lights[0].motion": motion})
+    found = [str(each) for each in foreseen(lf.build(given)) if isinstance(each, lf.MissedLightWarning)]
+    assert any("lights[0] passes through the field" in text for text in found) == told
+
+
 def test_each_of_some_lamps_in_the_field_is_named_and_of_many_a_few() -> None:
     random = np.random.default_rng(3)
     places = random.uniform([-8.0, -8.0, -90.0], [8.0, 8.0, 20.0], (10, 3)).tolist()

@@ -201,8 +201,8 @@ def _refuse_moving_fields(scene: Scene, camera: Segments | None, motions: Sequen
             key = f"media[{i}].motion" if motion is not None else "camera.motion"
             name = f"media[{i}]" + (f" ({medium.name})" if medium.name else "")
             raise SceneError(
-                f"{key}: {name} bends light, and must rest relative to the camera; give both the same motion, about the "
-                "same center_mm, or none"
+                f"{key}: {name} bends light, and must rest relative to the camera; give both the same motion, about "
+                "the same center_mm, or none"
             )
 
 

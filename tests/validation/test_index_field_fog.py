@@ -44,9 +44,11 @@ def light(scene: lf.Scene, method: str, samples: int, seed: int) -> tuple[float,
     return float(image.mean.sum()), float(np.sqrt((image.stderr**2).sum()))
 
 
-def close_up(**tables: Any) -> lf.Scene:
+def close_up(bands: tuple[Tables, ...] | None = None, **tables: Any) -> lf.Scene:
     """Return a plenoptic camera before the tables of a scene."""
-    return lf.Scene(camera=close_up_camera(), transport={"split": "transmit", "threads": 1}, **tables)  # type: ignore[arg-type]
+    camera = close_up_camera()
+    sensor = camera["sensor"] | {"bands": bands}
+    return lf.Scene(camera=camera | {"sensor": sensor}, transport={"split": "transmit", "threads": 1}, **tables)
 
 
 @cache
@@ -82,8 +84,7 @@ def hot_gas(folder: Path, rise: float) -> lf.Scene:
 
 def seen_hot(**tables: Any) -> lf.Scene:
     """Return a camera for a narrow band before the tables of a scene."""
-    band = {"name": "R", "center_nm": 650.0, "fwhm_nm": 0.02}
-    return close_up(**tables).changed({"camera.sensor.bands": [band]})
+    return close_up(({"name": "R", "center_nm": 650.0, "fwhm_nm": 0.02},), **tables)
 
 
 @pytest.mark.parametrize(

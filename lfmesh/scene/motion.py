@@ -39,9 +39,9 @@ class Exposure(Model):
         times, opening = np.array(self.shutter).reshape(-1, 2).T
         if len(times) < 2 or times[0] != 0.0 or times[-1] != self.duration_s:
             why = f"its times must run from 0 to duration_s = {self.duration_s:g}, so as to cover the window"
-            yield Fault(("shutter",), [*times.tolist()], why)
+            yield Fault(("shutter",), [list(each) for each in self.shutter], why)
         elif not (np.diff(times) > 0.0).all():
-            yield Fault(("shutter",), [*times.tolist()], "its times must increase")
+            yield Fault(("shutter",), [list(each) for each in self.shutter], "its times must increase")
         elif not opening.any():
             yield Fault(("shutter",), None, "never opens: give an opening above 0")
 

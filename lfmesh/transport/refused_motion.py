@@ -126,13 +126,14 @@ def refuse_untraceable_motion(
     shape, housing = camera
     lens_front = float(outermost(shape)[:, 2].min())
     media = list(_media(scene, volumes, motions.media, moves, end_s))
-    particles = list(_particles(scene, end_s))
+    particles = list(_particles(scene, end_s, still))
     glass = [i for i, target in enumerate(scene.targets) if target.refractor is not None]
     _refuse_moving_fields(scene, motions.camera, motions.media)
     _refuse_other_motion_inside(scene, motions.media, motions.bodies)
     _refuse_glass_in_glass([(bodies[i], targets[i]) for i in glass])
     for i in glass:
-        for other in (*(each for j, each in enumerate(bodies) if j not in glass or j > i), *lamps, *media, *particles):
+        grains = _particles(scene, end_s, bodies[i].motion) if _carries(bodies[i].motion) else particles
+        for other in (*(each for j, each in enumerate(bodies) if j not in glass or j > i), *lamps, *media, *grains):
             _refuse_contact(bodies[i], other, "nothing may pass through a surface of glass while pixels collect light")
         for field in fields:
             box = _Thing(field.medium.name, camera_motion, end_s, partial(_box_facets, field.medium.corners_mm()))
@@ -292,15 +293,21 @@ def _box_facets(corners: Array) -> list[Array]:
     return [corners[number][mesh.faces]]
 
 
-def _particles(scene: Scene, end_s: float) -> Iterator[_Thing]:
-    """Yield the particles of each entry, as segments along which they move."""
+def _carries(motion: Segments) -> bool:
+    """Tell whether a body moves at one velocity without a turn, so that particles may be at rest relative to it."""
+    return len(motion) == 1 and motion["rate"][0] == 0.0 and bool(motion["velocity"].any())
+
+
+def _particles(scene: Scene, end_s: float, carrier: Segments) -> Iterator[_Thing]:
+    """Yield the particles of each entry, as segments along which they move relative to a body that does not turn."""
     for i, group in enumerate(scene.particles):
         points, _ = shining_particles(group, scene)
         velocity = particle_velocities(group, points, scene)
-        ends = points if velocity is None else points + end_s * velocity
+        relative = (0.0 if velocity is None else velocity) - carrier["velocity"][0]
+        ends = points + end_s * relative
         if len(points):
             made = partial(_given, np.stack([points, ends, ends], axis=1))
-            yield _Thing(f"particles[{i}]", resting(), end_s, made, flows=velocity is not None)
+            yield _Thing(f"particles[{i}]", carrier, end_s, made, flows=bool((ends != points).any()))
 
 
 def _given(corners: Array) -> list[Array]:

@@ -222,3 +222,23 @@ def test_models_of_the_camera_are_refused_while_things_move() -> None:
 
 def test_an_exposure_of_things_at_rest_proves_nothing() -> None:
     build(targets=[glass_ball([0.0, 0.0, -150.0], {"velocity_mm_s": [0.0, 0.0, 0.0]})])
+
+
+def test_particles_may_travel_with_a_tank() -> None:
+    tank = {
+        "size_mm": [20.0, 20.0, 20.0], "wall_mm": 1.0, "wall": {"index": 1.5}, "liquid": {"index": 1.33},
+        "position_mm": [0.0, 0.0, -100.0], "motion": going(300.0),
+    }  # fmt: skip
+    dust = {
+        "count": 5, "bounds": {"kind": "box", "size_mm": [1.0, 1.0, 1.0]}, "position_mm": [0.0, 0.0, -100.0],
+        "intensity_w_sr": 1.0, "frame_time_s": 0.1,
+    }  # fmt: skip
+
+    def flowing(by: list[float]) -> dict[str, Any]:
+        return dust | {"displacement": {"kind": "uniform", "vector_mm": by}}
+
+    along = np.array(going(300.0)["velocity_mm_s"]) * 0.1
+    build(tanks=[tank], particles=[flowing(along.tolist())])
+    build(tanks=[tank], particles=[flowing([along[0], 5.0, 0.0])])
+    with pytest.raises(lf.SceneError, match=r"and particles\[0\] touch during the exposure"):
+        build(tanks=[tank], particles=[flowing([along[0], 15.0, 0.0])])

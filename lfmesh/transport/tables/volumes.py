@@ -407,7 +407,10 @@ def _grid_of(scene: Scene, medium: Medium, where: str) -> VoxelGrid | None:
         return grid
     key = f"{where}.grid: temperature_k" if own == "temperature_k" else f"{where}.temperature_k:"
     if scene.camera.sensor.bands is None:
-        raise SceneError(f"{key} needs camera.sensor.bands: single wavelengths have no width")
+        raise SceneError(
+            f"{key} needs camera.sensor.bands: single wavelengths have no width. With pressure_kpa it sets the index, "
+            "and needs none"
+        )
     if not _absorbs(medium, grid):
         raise SceneError(f"{key} needs absorption_per_mm: without absorption no emission")
     return grid

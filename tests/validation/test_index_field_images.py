@@ -157,7 +157,8 @@ def drawn(number: int, folder: Path) -> lf.Scene:
     centre = np.array((10.0, -7.5, -42.5) if light == "lamp" else (0.0, 0.0, -32.0))
     field["position_mm"] = (centre + draw.uniform(-1.5, 1.5, 3)).tolist()
     if light == "fog":
-        field |= {"absorption_per_mm": 0.01, "scattering_per_mm": 0.01}
+        # What absorbs would emit by its temperature, and needs bands.
+        field |= {"scattering_per_mm": 0.01} | ({} if kind == "temperature_k" else {"absorption_per_mm": 0.01})
     glow = {"reflectance": 0.0, "radiance_w_m2_sr": 1.0, "texture": "chart.png"}
     painted = {"reflectance": 0.8, "texture": "chart.png"}
     return lf.Scene(

@@ -407,10 +407,8 @@ def _grid_of(scene: Scene, medium: Medium, where: str) -> VoxelGrid | None:
         return grid
     key = f"{where}.grid: temperature_k" if own == "temperature_k" else f"{where}.temperature_k:"
     if scene.camera.sensor.bands is None:
-        raise SceneError(
-            f"{key} needs camera.sensor.bands: single wavelengths have no width. With pressure_kpa it sets the index, "
-            "and needs none"
-        )
+        emits = "what absorbs also emits" if _absorbs(medium, grid) else "give pressure_kpa, if it is to set the index"
+        raise SceneError(f"{key} needs camera.sensor.bands: single wavelengths have no width; {emits}")
     if not _absorbs(medium, grid):
         raise SceneError(f"{key} needs absorption_per_mm: without absorption no emission")
     return grid

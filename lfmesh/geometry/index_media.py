@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.box_corners import corners_between
 from lfmesh.geometry.voxels import INDEX_QUANTITIES, OF_LINES, VoxelGrid, quantities_in, read_voxels
 from lfmesh.optics.gladstone_dale import air_density
 from lfmesh.optics.glass import refractive_index
@@ -66,9 +67,7 @@ class IndexMedium:
 
     def corners_mm(self) -> Array:
         """Return the corners of its box in the world, (8, 3)."""
-        low, high = self.bounds_mm
-        picks = np.array(np.meshgrid(*[[0, 1]] * 3, indexing="ij")).reshape(3, 8).T
-        return frame.points(self.to_world, np.where(picks == 0, low, high))
+        return frame.points(self.to_world, corners_between(*self.bounds_mm))
 
     def indices(self, column: int, points: Array) -> Array:
         """Return the index at points.

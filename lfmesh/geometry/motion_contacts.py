@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.box_corners import corners_between
 from lfmesh.geometry.meshes.box_tree import box_tree
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.rigid_motion import fill_pose, segment_at, sweep
@@ -78,8 +79,8 @@ def swept_box(corners: Array, motion: NDArray[np.void], begin_s: float, end_s: f
     motion : (n,) SEGMENT
     begin_s, end_s : float
     """
-    ends = np.array([each(corners.reshape(-1, 3), axis=0) for each in (np.min, np.max)])
-    box = np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
+    points = corners.reshape(-1, 3)
+    box = corners_between(points.min(axis=0), points.max(axis=0))
     places, margin = sweep(motion, box, begin_s, end_s)
     return np.array([places.min(axis=(0, 1)) - margin, places.max(axis=(0, 1)) + margin])
 

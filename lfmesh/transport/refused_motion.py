@@ -14,6 +14,7 @@ import numpy as np
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.box_corners import corners_between
 from lfmesh.geometry.index_media import bends
 from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.meshes.mesh import Array, Mesh
@@ -228,8 +229,7 @@ def _refuse_behind(thing: _Thing, camera: Segments, moves: Array, front: float, 
     if thing.motion.tobytes() == camera.tobytes() and not thing.flows:
         return
     points = np.concatenate(thing.facets).reshape(-1, 3)
-    ends = np.array([points.min(axis=0), points.max(axis=0)])
-    box = np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
+    box = corners_between(points.min(axis=0), points.max(axis=0))
     to_z = moves[WORLD_FRAME, CAMERA_FRAME, 2]
     for bounding in (box, points):
         places, margin = sweep(thing.motion, bounding, 0.0, thing.end_s, camera)

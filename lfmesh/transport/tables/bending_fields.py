@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.box_corners import corners_between
 from lfmesh.geometry.index_media import IndexMedium, index_media
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
@@ -311,12 +312,6 @@ def boxes_of_fields(fields: BendingFields | None) -> Array:
     rows = fields.fields.rows[:: fields.wavelengths]
     return np.array([frame.points(back, corners_between(row["low"], row["high"]))
                      for row, back in zip(rows, fields.from_own, strict=True)])  # fmt: skip
-
-
-def corners_between(low: Array, high: Array) -> Array:
-    """Return the corners of a box, (8, 3), from its lowest and its highest one."""
-    return np.array([[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]]
-                     for i in (0, 1) for j in (0, 1) for k in (0, 1)])  # fmt: skip
 
 
 def beside(fields: BendingFields, number: int, points: Array) -> bool:

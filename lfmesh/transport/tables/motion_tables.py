@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.box_corners import corners_between
 from lfmesh.geometry.lens.orientation import image_inverts
 from lfmesh.geometry.meshes.mesh import Mesh
 from lfmesh.geometry.motions import motions_of
@@ -122,9 +123,7 @@ def hulls_of(targets: list[TargetMesh], objects: ObjectTables, to_object: Array)
     hulls = [frame.points(to_object, target.hull.vertices) for target in targets]
     if objects.glass is not None:
         for i in np.flatnonzero(objects.rank):
-            ends = objects.glass.boxes[i]
-            corners = [[ends[a, 0], ends[b, 1], ends[c, 2]] for a, b, c in np.ndindex(2, 2, 2)]
-            hulls[i] = np.concatenate([hulls[i], corners])
+            hulls[i] = np.concatenate([hulls[i], corners_between(*objects.glass.boxes[i])])
     return hulls
 
 

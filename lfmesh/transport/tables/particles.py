@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.box_corners import corners_between
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.phase import PhaseTables, phase_tables
 from lfmesh.scene import Scene
@@ -203,14 +204,8 @@ def corners_round(tables: tuple[ParticleTables, ...], motions: Motions | None = 
     corners = [np.zeros((0, 3))]
     for table in tables:
         places, margin = _paths(table, motions)
-        ends = np.stack([places.min(axis=0) - margin, places.max(axis=0) + margin])
-        corners.append(_corners(ends))
+        corners.append(corners_between(places.min(axis=0) - margin, places.max(axis=0) + margin))
     return np.concatenate(corners)
-
-
-def _corners(ends: Array) -> Array:
-    """Return the corners of a box, (8, 3), from two opposite ones, (2, 3)."""
-    return np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
 
 
 def _paths(table: ParticleTables, motions: Motions | None) -> tuple[Array, float]:
@@ -223,7 +218,7 @@ def _paths(table: ParticleTables, motions: Motions | None) -> tuple[Array, float
     if not motions.camera_moves:
         return places, 0.0
     to_object, to_world = motions.frames[WORLD_FRAME, OBJECT_FRAME], motions.frames[OBJECT_FRAME, WORLD_FRAME]
-    box = _corners(np.stack([places.min(axis=0), places.max(axis=0)]))
+    box = corners_between(places.min(axis=0), places.max(axis=0))
     places, margin = swept(motions, motions.resting, frame.points(to_object, box))
     return frame.points(to_world, places), margin
 

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
+from lfmesh.geometry.box_corners import corners_between
 from lfmesh.geometry.rigid_motion import pose_at, sweep
 from lfmesh.transport.tables.motions import STILL, Motions
 
@@ -98,8 +99,7 @@ def box_round(motions: Motions, mover: int, points: Array, to_frame: Array) -> A
     """
     places, margin = swept(motions, mover, points)
     places = frame.points(to_frame, places)
-    ends = np.stack([places.min(axis=0) - margin, places.max(axis=0) + margin])
-    return np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
+    return corners_between(places.min(axis=0) - margin, places.max(axis=0) + margin)
 
 
 def pose_of_mover(motions: Motions, mover: int, time_s: float) -> Array:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.box_corners import corners_between
 from lfmesh.geometry.meshes.shell_tree import tree_of
 from lfmesh.geometry.objects.primitives import primitive
 from lfmesh.geometry.objects.refractors import bounding_mesh
@@ -442,8 +443,7 @@ def corners_of(row: np.void) -> Array | None:
         low, high = np.maximum(low, row["low"]), np.minimum(high, row["high"])
     if not np.isfinite(low).all():
         return None
-    return np.array([[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]]
-                     for i in (0, 1) for j in (0, 1) for k in (0, 1)])  # fmt: skip
+    return corners_between(low, high)
 
 
 def _refuse_behind_lens(row: np.void, where: str, moves: Array, shell: Array | None) -> None:

@@ -127,13 +127,16 @@ def refuse_untraceable_motion(
     shape, housing = camera
     lens_front = float(outermost(shape)[:, 2].min())
     media = list(_media(scene, volumes, motions.media, moves, end_s))
-    particles = list(_particles(scene, end_s, still))
+    particles = {still.tobytes(): list(_particles(scene, end_s, still))}
     glass = [i for i, target in enumerate(scene.targets) if target.refractor is not None]
     _refuse_moving_fields(scene, motions.camera, motions.media)
     _refuse_other_motion_inside(scene, motions.media, motions.bodies)
     _refuse_glass_in_glass([(bodies[i], targets[i]) for i in glass])
     for i in glass:
-        grains = _particles(scene, end_s, bodies[i].motion) if _carries(bodies[i].motion) else particles
+        carrier = bodies[i].motion if _carries(bodies[i].motion) else still
+        if carrier.tobytes() not in particles:
+            particles[carrier.tobytes()] = list(_particles(scene, end_s, carrier))
+        grains = particles[carrier.tobytes()]
         for other in (*(each for j, each in enumerate(bodies) if j not in glass or j > i), *lamps, *media, *grains):
             _refuse_contact(bodies[i], other, "nothing may pass through a surface of glass while pixels collect light")
         for field in fields:
@@ -146,7 +149,7 @@ def refuse_untraceable_motion(
             _refuse_contact(thing, barrel, "objects must stay outside the camera's barrel")
     for thing in media:
         _refuse_behind(thing, camera_motion, moves, 0.0, "first lens vertex")
-    for thing in particles:
+    for thing in particles[still.tobytes()]:
         _refuse_behind(thing, camera_motion, moves, lens_front, "front of the lens")
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.box_corners import corners_between
 from lfmesh.geometry.meshes.box_tree import box_tree
 from lfmesh.geometry.meshes.mesh import Array
-from lfmesh.geometry.rigid_motion import fill_pose, segment_at, sweep
+from lfmesh.geometry.rigid_motion import fill_pose, fill_relative, segment_at, sweep
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 
@@ -137,7 +137,7 @@ def _first_contact(
         if middle != known:
             fill_pose(one.motion, segment_one, segment_one + 1, middle, first)
             fill_pose(other.motion, segment_other, segment_other + 1, middle, second)
-            _relative(first, second, second_seen)
+            fill_relative(first, second, second_seen)
             known = middle
         # A leaf is represented by its facet, another node by its sphere.
         reach_one = 0.0 if a >= one.leaves else one.reach[a]
@@ -175,18 +175,6 @@ def _first_contact(
         nodes[count, 0], nodes[count, 1], spans[count, 0], spans[count, 1] = a, b, begin, middle
         count += 1
     return found
-
-
-@kernel
-def _relative(first: Array, second: Array, into: Array) -> None:
-    """Fill the second pose as seen from the first, first⁻¹ · second; all (3, 4)."""
-    for i in range(3):
-        for k in range(4):
-            total = 0.0
-            for j in range(3):
-                shift = first[j, 3] if k == 3 else 0.0
-                total += first[j, i] * (second[j, k] - shift)
-            into[i, k] = total
 
 
 @kernel

@@ -271,3 +271,22 @@ def fill_pose(motion: NDArray[np.void], first: int, last: int, time_s: float, po
         pose[2, k] = z + sine * cz + rest * ez
     for i in range(3):
         pose[i, 3] += row.centre[i] + row.velocity[i] * time
+
+
+@kernel
+def fill_relative(first: Array, second: Array, pose: Array) -> None:
+    """Fill the second pose as seen from the first, first⁻¹ · second.
+
+    Parameters
+    ----------
+    first, second : (3, 4) float64
+    pose : (3, 4) float64
+        Output.
+    """
+    for i in range(3):
+        for k in range(4):
+            total = 0.0
+            for j in range(3):
+                shift = first[j, 3] if k == 3 else 0.0
+                total += first[j, i] * (second[j, k] - shift)
+            pose[i, k] = total

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.geometry.ray import Ray
-from lfmesh.geometry.rigid_motion import fill_pose
+from lfmesh.geometry.rigid_motion import fill_pose, fill_relative
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.exposure import drawn_time
 from lfmesh.transport.packets.packet import (
@@ -112,24 +112,12 @@ def _set_time(moving: Any, time_s: float) -> None:
     for mover in range(1, len(first) - 1):
         fill_pose(segments, first[mover], first[mover + 1], time_s, there)
         if motions.camera_moves:
-            _relative(moving.scratch[0], there, moving.back[mover])
+            fill_relative(moving.scratch[0], there, moving.back[mover])
         else:
             for i in range(3):
                 for k in range(4):
                     moving.back[mover, i, k] = there[i, k]
         _invert(moving.back[mover], moving.to[mover])
-
-
-@kernel
-def _relative(camera: Array, body: Array, found: Array) -> None:
-    """Fill the pose of a body relative to the camera, camera⁻¹ · body; all (3, 4)."""
-    for i in range(3):
-        for k in range(4):
-            total = 0.0
-            for j in range(3):
-                shift = camera[j, 3] if k == 3 else 0.0
-                total += camera[j, i] * (body[j, k] - shift)
-            found[i, k] = total
 
 
 @kernel

@@ -41,6 +41,10 @@ class Motions(NamedTuple):
     camera_moves: bool
     frames: Array  # (6, 6, 3, 4) at t = 0, see `tables.frames`
 
+    def of(self, mover: int) -> Records:
+        """Return the motion of a mover in the world, of the camera for mover 0, (n,) SEGMENT."""
+        return self.segments[self.first[mover] : self.first[mover + 1]]
+
 
 @by_address
 class Moving(NamedTuple):
@@ -52,7 +56,7 @@ class Moving(NamedTuple):
     times: Array  # (packets,) of the packets of a wave, s
     to: Array  # (movers, 3, 4) from the object frame to the frame of each mover
     back: Array  # (movers, 3, 4) and back
-    scratch: Array  # (3, 3, 4)
+    scratch: Array  # (2, 3, 4) poses of the camera and of a body in the world
     frames: Array  # (6, 6, 3, 4) in which the frame of the mover `held` stands for the object frame
     held: Numbers  # (1,)
     all_frames: bool  # `frames` holds all moves; else, for paths from the sensor, only those to the camera
@@ -87,7 +91,7 @@ def moving(motions: Motions | None, packets: int, *, all_frames: bool = True) ->
     queries = np.zeros((movers, packets, 3), np.float32)
     facets = np.zeros((movers, packets), np.int32)
     return Moving(
-        motions, _NOTHING_KNOWN.copy(), np.zeros(1), np.zeros(packets), still, still.copy(), np.zeros((3, 3, 4)),
+        motions, _NOTHING_KNOWN.copy(), np.zeros(1), np.zeros(packets), still, still.copy(), np.zeros((2, 3, 4)),
         motions.frames.copy(), np.array([STILL]), all_frames, np.zeros((movers, 6)), queries, queries.copy(),
         np.zeros(movers, np.int64), facets, facets.copy(),
     )  # fmt: skip

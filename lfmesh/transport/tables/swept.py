@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.box_corners import corners_between
-from lfmesh.geometry.rigid_motion import pose_at, sweep
+from lfmesh.geometry.rigid_motion import sweep
 from lfmesh.transport.tables.motions import STILL, Motions
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ def swept(motions: Motions | None, mover: int, points: Array) -> tuple[Array, fl
     """
     if motions is None or mover == STILL or not len(points):
         return points, 0.0
-    camera, own = (motions.segments[motions.first[each] : motions.first[each + 1]] for each in (STILL, mover))
+    camera, own = motions.of(STILL), motions.of(mover)
     places, margin = sweep(own, points, 0.0, motions.end_s, camera if motions.camera_moves else None)
     return places.reshape(-1, 3), margin
 
@@ -61,8 +61,7 @@ def path_of_camera(motions: Motions | None, mover: int, point: Array, length_mm:
     """
     if motions is None or mover == STILL:
         return point[None], 0.0
-    camera, own = (motions.segments[motions.first[each] : motions.first[each + 1]] for each in (STILL, mover))
-    places, margin = sweep(camera, point[None], 0.0, motions.end_s, own)
+    places, margin = sweep(motions.of(STILL), point[None], 0.0, motions.end_s, motions.of(mover))
     corners = places[:, 0]
     longest = float(np.linalg.norm(np.diff(corners, axis=0), axis=1).max())
     pieces = min(max(int(np.ceil(longest / length_mm)), 1), MOST_PIECES)
@@ -100,16 +99,3 @@ def box_round(motions: Motions, mover: int, points: Array, to_frame: Array) -> A
     places, margin = swept(motions, mover, points)
     places = frame.points(to_frame, places)
     return corners_between(places.min(axis=0) - margin, places.max(axis=0) + margin)
-
-
-def pose_of_mover(motions: Motions, mover: int, time_s: float) -> Array:
-    """Return the frame of a mover at a time relative to the camera, (3, 4), object frame.
-
-    Parameters
-    ----------
-    motions : Motions
-    mover : int
-    time_s : float
-    """
-    camera, own = (motions.segments[motions.first[each] : motions.first[each + 1]] for each in (STILL, mover))
-    return frame.compose(frame.inverse(pose_at(camera, time_s)), pose_at(own, time_s))

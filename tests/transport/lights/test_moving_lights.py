@@ -28,10 +28,10 @@ from lfmesh.transport.tables.emitting_facets import emitter_table
 from lfmesh.transport.tables.forward_sources import aimed_at_glass
 from lfmesh.transport.tables.lights import Lamps, with_movers
 from lfmesh.transport.tables.motions import Motions, Moving, moving
-from lfmesh.transport.tables.swept import pose_of_mover
 from lfmesh.transport.tables.tables import ObjectTables
 from lfmesh.transport.tables.volumes import Volumes
 from tests.cameras import camera_without_array
+from tests.movers import pose_of_mover
 from tests.transport.events.test_volume import volumes_of
 from tests.transport.lights.test_emitting_facets import SCREEN, SHINING, scene
 from tests.transport.lights.test_many_lamps import lamps_of, mixed

@@ -15,8 +15,8 @@ from lfmesh.scene.light.particles import Particles
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
 from lfmesh.transport.sources.particles import at_present, direction_of_light
 from lfmesh.transport.tables.particles import corners_round, refuse_particles_behind
-from lfmesh.transport.tables.swept import pose_of_mover
 from tests.cameras import camera_without_array
+from tests.movers import pose_of_mover
 from tests.transport.lights.test_moving_lights import at_moment, motions_with
 
 Array = NDArray[np.float64]

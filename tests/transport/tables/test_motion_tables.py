@@ -9,8 +9,9 @@ import lfmesh as lf
 from lfmesh.geometry import frame
 from lfmesh.transport.packets.packet import MOST_MOVERS, OBJECT_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.motions import Motions
-from lfmesh.transport.tables.swept import path_of_camera, pose_of_mover, reach_mm
+from lfmesh.transport.tables.swept import path_of_camera, reach_mm
 from lfmesh.transport.world import World
+from tests.movers import pose_of_mover
 
 FORTH = {"velocity_mm_s": [10.0, 0.0, 5.0], "spin_deg_s": [0.0, 30.0, 60.0], "center_mm": [1.0, 2.0, -90.0]}
 BACK = {"velocity_mm_s": [-10.0, 0.0, 0.0]}
